@@ -54,8 +54,8 @@ from plate_planner import (
     Progress,
 )
 from plate_planner.tasks import (
-    SIGHT_M,
-    SIGHT_RAD,
+    ANGLE_ERROR_RAD,
+    POSITION_ERROR_M,
     Assembler,
     FeedReport,
     Follower,
@@ -644,13 +644,13 @@ def is_fulfilled(task: Task, rig: Rig, moment: Moment, error: np.ndarray) -> boo
         return True
     if isinstance(task, SortTask):
         true = Parts.make(moment.world.ids, moment.world.position)
-        return float(np.max(np.nan_to_num(Sorter(task, rig).to_go(true)))) <= SIGHT_M
+        return float(np.max(np.nan_to_num(Sorter(task, rig).to_go(true)))) <= POSITION_ERROR_M
     if isinstance(task, FollowTask):
-        return float(np.max(error, initial=0.0)) <= task.max_error_m + SIGHT_M
-    there = float(np.max(moment.error_m, initial=0.0)) <= task.tolerance_m + SIGHT_M
+        return float(np.max(error, initial=0.0)) <= task.max_error_m + POSITION_ERROR_M
+    there = float(np.max(moment.error_m, initial=0.0)) <= task.tolerance_m + POSITION_ERROR_M
     if isinstance(task, PoseTask):
         turned = float(np.max(moment.turn_error, initial=0.0))
-        there = there and turned <= task.tolerance_rad + SIGHT_RAD
+        there = there and turned <= task.tolerance_rad + ANGLE_ERROR_RAD
     return there
 
 

@@ -11,8 +11,8 @@ from plate_bringup.production import ASKS, FeederCell, Production
 from plate_core import Parts, PlateCycle, PlateError, Rig, part_class
 from plate_core.tasks import AssembleTask, FeedTask, FollowTask, PoseTask, SortTask, Task
 from plate_planner.tasks import (
-    SIGHT_M,
-    SIGHT_RAD,
+    ANGLE_ERROR_RAD,
+    POSITION_ERROR_M,
     Assembler,
     Feeder,
     FeedMemory,
@@ -178,7 +178,8 @@ class Score(NamedTuple):
 class TaskEvaluator:
     """Evaluates a task by the rules of the planner, but with the true positions of the parts.
 
-    The tolerances of the task are increased by the errors of the camera (`SIGHT_M`, `SIGHT_RAD`).
+    The tolerances of the task are increased by the errors of the camera (`POSITION_ERROR_M`,
+    `ANGLE_ERROR_RAD`).
 
     Attributes
     ----------
@@ -275,7 +276,7 @@ class TaskEvaluator:
             return _evaluate_feeding(rules, memories)
         shape = len(states), len(names)
         error, turn = np.zeros(shape), np.zeros(shape)
-        near_m, near_rad = SIGHT_M, np.inf
+        near_m, near_rad = POSITION_ERROR_M, np.inf
         if isinstance(rules, Sorter):  # the rules of a sort task evaluate all plates in one call
             to_go = rules.distances(names, np.array([state.position for state in states]))
             error = np.where(np.isnan(to_go), 0.0, to_go)
@@ -287,7 +288,7 @@ class TaskEvaluator:
                 elif isinstance(memory, PoseMemory):
                     error[row], turn[row] = rules.errors(memory, _parts(state))
             if isinstance(rules, Poser):
-                near_rad = SIGHT_RAD + rules.task.tolerance_rad
+                near_rad = ANGLE_ERROR_RAD + rules.task.tolerance_rad
         turn = np.abs(turn)
         labels = [part_class(name) for name in names]
         reaches = {label: self._rig.part_type(label).reach_m for label in set(labels)}
@@ -308,7 +309,7 @@ def _evaluate_paths(rules: Follower, memories: list[Memory], states: list[WorldS
         rms[row] = np.sqrt(memory.square_m2 * len(follow.match) / follow.samples)
         now[row] = rules.errors(follow, _parts(state), time)
         to_go[row], at_end[row] = rules.to_go(follow, time), rules.finished(follow, time)
-    there = now <= rules.task.max_error_m + SIGHT_M
+    there = now <= rules.task.max_error_m + POSITION_ERROR_M
     kept = np.all(there, axis=1)
     return Score(rms, np.zeros(shape), there, to_go, at_end & kept, ~kept)
 

@@ -369,7 +369,7 @@ class Planner:
         """Classes of the parts in the scenario."""
         return tuple(group.label for group in self.scenario.parts)
 
-    def _mine(self, ids: Sequence[str]) -> set[str]:
+    def _task_ids(self, ids: Sequence[str]) -> set[str]:
         """Return those of the ids `ids` that belong to parts of the task. Ids of unknown objects
         are omitted."""
         return {name for name in ids if not is_bystander(name, self._labels)}
@@ -417,8 +417,8 @@ class Planner:
         missing = () if comes_and_goes else missing_parts(self.scenario, state.known, parts)
         seen = set(state.estimator.seen.ids)
         # parts that the task does not move cannot prevent the start of the task
-        mine = self._mine(parts.ids)
-        again = comes_and_goes or self._mine(state.known) == mine <= seen
+        own_ids = self._task_ids(parts.ids)
+        again = comes_and_goes or self._task_ids(state.known) == own_ids <= seen
         task = begin(state.task, t, missing, again, self.limits, self.others(parts))
         estimator = self._observe(state, parts, task.active and not state.task.active)
         now = self._situation(estimator, state, parts, task.active)
@@ -479,7 +479,7 @@ class Planner:
             seen=self._on_plate(estimator.seen),
             taken=estimator.taken,
             kept=state.kept,
-            late=estimator.log.longest_delay,
+            late=estimator.log.max_delay,
             resting_since=estimator.resting_since,
         )
 

@@ -13,7 +13,7 @@ from plate_core.tasks import PathTask, load_scenario
 from plate_planner import FollowOptions, Planner, PlannerOptions
 from plate_planner.estimation import LastRequest
 from plate_planner.tasks import DriftInterval, Follower, Situation, pd_drift
-from plate_planner.tasks.follow import TURN
+from plate_planner.tasks.follow import CORNER_ACCEL
 from plate_planner.tasks.path import PolygonPath
 
 # Paths
@@ -235,7 +235,7 @@ def test_parts_that_start_elsewhere_are_led_to_their_paths_first(far):
         most = max(most, np.max(np.abs(plant.drift)))
     assert progress.phase == "done"
     assert progress.max_error_m <= 0.0045 + 1e-6  # nearer than where references slow down
-    led = state.memory.lead_s
+    led = state.memory.approach_s
     assert 0 < progress.time_s - 0.56 / 0.04 - led - T < 0.7
     assert f"{led:.1f} s of the time to reach the starts" in progress.text
     assert most <= 0.05
@@ -290,7 +290,11 @@ def test_a_part_that_starts_near_its_path_is_not_led():
     plant = Plant(scenario)
     plant.position += [0.004, 0.0]
     state, _, progress = run(Planner(RIG, scenario), plant, cycles=20)
-    assert (progress.phase, state.memory.leading, state.memory.lead_s) == ("running", False, 0.0)
+    assert (progress.phase, state.memory.leading, state.memory.approach_s) == (
+        "running",
+        False,
+        0.0,
+    )
 
 
 def test_references_wait_for_a_part_that_stays_behind_and_then_it_is_stuck():
@@ -404,7 +408,7 @@ def test_references_slow_down_before_corners(speed):
         )
         memory = follower.measure(memory, now)
     change = np.hypot(*np.diff(places, n=2, axis=0).T)
-    allowed = TURN * RIG.friction.accel * T**2
+    allowed = CORNER_ACCEL * RIG.friction.accel * T**2
     assert np.max(change) < 2 * allowed < 0.55 * np.sqrt(2) * speed * T
     assert np.max(np.hypot(*np.diff(places, axis=0).T)) > 0.075 * T
 

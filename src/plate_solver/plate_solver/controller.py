@@ -302,7 +302,7 @@ def answer_of(goal: Goal, solution: Solution, fraction: float, period: float) ->
     error = (solution.residual * unit).ravel()
     if goal.turns is not None:
         weight = goal.turns.weight[goal.turns.weight > 0]
-        error = np.append(error, weight * goal.left_to_turn(np.asarray(solution.predicted)))
+        error = np.append(error, weight * goal.angle_errors(np.asarray(solution.predicted)))
     rms = float(np.sqrt(np.mean(error**2)))
     return Answer(solution.cycle, solution, solution.message, rms, goal.size, fraction)
 

@@ -147,17 +147,17 @@ def within_limits(
     if used <= CERTAIN:
         return cycle
     rest = cycle.scaled(0.0) if resting is None else resting()
-    least = _use(rest, full)
-    if not least <= CERTAIN:
+    rest_use = _use(rest, full)
+    if not rest_use <= CERTAIN:
         raise CycleError(
             "the plate cannot stop within the rig's limits from the cycle's start: used fraction "
-            f"is {least:.3g}, allowed: 0 to {CERTAIN:g}"
+            f"is {rest_use:.3g}, allowed: 0 to {CERTAIN:g}"
         )
-    # four rounds suffice, because the utilisation of the limits is nearly linear in `share`
+    # four rounds suffice, because the utilisation of the limits is nearly linear in `fraction`
     for _ in range(4):
-        share = max((0.9995 * CERTAIN - least) / (used - least), 0.0)
+        fraction = max((0.9995 * CERTAIN - rest_use) / (used - rest_use), 0.0)
         times, *states = cycle.knots
-        nearer = [b + share * (a - b) for a, b in zip(states, rest.knots[1:], strict=True)]
+        nearer = [b + fraction * (a - b) for a, b in zip(states, rest.knots[1:], strict=True)]
         cycle = PlateCycle.from_knots(times, *nearer)
         used = _use(cycle, full)
         if used <= CERTAIN:
@@ -187,7 +187,7 @@ def _use(cycle: PlateCycle, full: Limits) -> float:
             for order in range(3)
         )
         steps = np.repeat(np.concatenate([np.diff(part.times) for part in parts]), 5 * PIECES)
-        share = np.append(steps, 0.0)
-        share[5::5] += steps[::5]
-        used = max(used, limit_use(pose, twist, accel, share, full, False))
+        durations = np.append(steps, 0.0)
+        durations[5::5] += steps[::5]
+        used = max(used, limit_use(pose, twist, accel, durations, full, False))
     return used

@@ -142,8 +142,8 @@ class SolverNode(SafeLifecycleNode[Options]):
         self.get_logger().info(
             f"shaking ratio Gamma = {rig.gamma:.1f}, limited by {limit} in the rig file"
         )
-        for doubt in rig_warnings(rig, "motors", "limits"):
-            self.get_logger().warning(doubt.text)
+        for warning in rig_warnings(rig, "motors", "limits"):
+            self.get_logger().warning(warning.text)
         self._library = Library.around(rig.plate.half)
         effort: dict[str, Any] = {"restarts": options.restarts} if options.restarts else {}
         threads = options.threads or len(os.sched_getaffinity(0))
@@ -228,9 +228,9 @@ class SolverNode(SafeLifecycleNode[Options]):
         self._adapt(request.plate)
         if not start_ns:
             start_ns = stamp_ns + round(1e9 * (running.period if running else IDLE_S))
-        left_s = min(1e-9 * (start_ns - self._now_ns(stamp_ns)), MAX_S) - self._handover_s
+        remaining_s = min(1e-9 * (start_ns - self._now_ns(stamp_ns)), MAX_S) - self._handover_s
         try:
-            until = began + left_s if self._handover_s else math.inf
+            until = began + remaining_s if self._handover_s else math.inf
             answer = self._controller.answer(request, running, until)
         except (PlateError, np.linalg.LinAlgError) as error:
             return self._rest(str(error))
@@ -249,9 +249,9 @@ class SolverNode(SafeLifecycleNode[Options]):
         if self._handover_s and plate is not None and self._sent:
             missed = not is_rest(self._sent[-1].cycle.state(-1) - plate)
             self._count["not_played"] += missed
-            least = self.options.handover_s
+            min_s = self.options.handover_s
             wished = self._handover_s + (LATER_S if missed else -SOONER_S)
-            self._handover_s = max(min(wished, LATEST_S), least)
+            self._handover_s = max(min(wished, LATEST_S), min_s)
 
     def _rest(self, why: str) -> PlateCycle:
         """Count a request without a solution, and return a cycle at rest."""

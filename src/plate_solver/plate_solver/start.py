@@ -15,7 +15,7 @@ from plate_core import CycleRequest, PlateCycle, Rig, part_class
 from plate_core.motion import is_rest
 from plate_core.rig import PartType
 
-from .cycle_map import after, end_turning, finely_sampled, room_spread
+from .cycle_map import after, end_turning, finely_sampled, home_spread
 from .sinusoids.basis import TAIL_PERIOD_S, TAIL_S
 
 
@@ -49,7 +49,7 @@ class StartState:
         Position [m] and velocity [m/s] of the parts, plate_home.
     friction_accel : (M,)
         mu g of each part [m/s2].
-    turn : (M,)
+    rotation : (M,)
         Rotation of each part since the start of the running cycle [rad].
     spin : (M,) or None
         Spin of each part [rad/s]. None if no rotation is requested. Without a requested rotation,
@@ -62,7 +62,7 @@ class StartState:
     position: np.ndarray
     velocity: np.ndarray
     friction_accel: np.ndarray
-    turn: np.ndarray
+    rotation: np.ndarray
     spin: np.ndarray | None
     plate: np.ndarray | None
 
@@ -104,7 +104,7 @@ def predict_start(
         function predicts the state after the tail of this cycle.
     """
     parts, types = request.parts, part_types(rig, request.parts.ids)
-    friction, turn = friction_accel(rig, request), np.zeros(len(parts))
+    friction, rotation = friction_accel(rig, request), np.zeros(len(parts))
     velocity = np.array([memory.velocity.get(name, np.zeros(2)) for name in parts.ids])
     spin = np.array([memory.spin.get(name, 0.0) for name in parts.ids])
     position = parts.position
@@ -112,7 +112,7 @@ def predict_start(
         velocity = np.zeros_like(velocity)
     elif rotates:
         spread = contact_spread(types, parts.angle)
-        position, velocity, turn, spin = end_turning(
+        position, velocity, rotation, spin = end_turning(
             position, velocity, spin, spread, *finely_sampled(running), friction
         )
     elif request.start is None:
@@ -126,7 +126,7 @@ def predict_start(
             position, velocity = after(tail, position, velocity, friction)
         plate = None
     return StartState(
-        parts.ids, position, velocity, friction, turn, spin if rotates else None, plate
+        parts.ids, position, velocity, friction, rotation, spin if rotates else None, plate
     )
 
 
@@ -150,4 +150,4 @@ def friction_accel(rig: Rig, request: CycleRequest) -> np.ndarray:
 def contact_spread(types: list[PartType], angle: np.ndarray) -> np.ndarray:
     """Return the second moments xx, xy, yy (M, 3) [m2, plate_home] of the parts' contacts at angles
     (M,) [rad]."""
-    return room_spread(np.array([t.spread_m2 for t in types]), angle)
+    return home_spread(np.array([t.spread_m2 for t in types]), angle)

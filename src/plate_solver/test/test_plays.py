@@ -11,7 +11,7 @@ from plate_sim import simulate
 from plate_solver import Controller, Goal
 from plate_solver.controller import LOOKAHEAD_S
 from plate_solver.cycle_map import end_turning
-from plate_solver.goal import Turns
+from plate_solver.goal import PartRotations
 from plate_solver.limits import Limits
 from plate_solver.sinusoids import limited_sinusoids, steer
 from plate_solver.sinusoids.basis import TAIL_CHECKS
@@ -79,7 +79,7 @@ def test_the_finished_cycle_is_the_first_play(rig):
 
 def test_the_prediction_for_two_plays_is_the_map_applied_twice(rig, scene):
     rng, position = scene(3, 5)
-    turns = Turns(
+    turns = PartRotations(
         rng.normal(size=5), np.tile([3e-5, 1e-5, 2e-5], (5, 1)), np.zeros(5), np.zeros(5),
         np.ones(5),
     )  # fmt: skip

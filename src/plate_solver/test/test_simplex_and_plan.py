@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import linprog
 
 from plate_solver.averages.tour import filled, nearest_order
-from plate_solver.library import Library, least_time
+from plate_solver.library import Library, min_time
 from plate_solver.rotations import plan_rotations
 
 HALF = np.array([0.3, 0.15])
@@ -43,7 +43,7 @@ def test_optimum_is_that_of_highs_and_proves_itself(seed):
     matrix, wanted = rng.normal(size=(rows, count)), rng.normal(size=rows)
     wanted[rng.random(rows) < 0.3] = 0  # ties
     problem = matrix, wanted, rng.uniform(0.5, 2, count), *rng.uniform(0.2, 3, (2, rows))
-    times = least_time(*problem)
+    times = min_time(*problem)
     check(times, *problem)
     assert times.cost == pytest.approx(by_highs(*problem), rel=1e-6)
 
@@ -52,17 +52,17 @@ def test_last_basis_is_a_good_start(scene):
     _, position = scene(3, 8)
     rng = np.random.default_rng(0)
     wanted, ones, dear = rng.normal(size=16), np.ones(len(LIBRARY.twist)), np.full(16, 50.0)
-    cold = least_time(LIBRARY.forces(position), wanted, ones, dear, dear)
+    cold = min_time(LIBRARY.forces(position), wanted, ones, dear, dear)
     # The parts have moved and the request has changed, some of it to the opposite.
     matrix = LIBRARY.forces(position + 1e-3 * rng.normal(size=position.shape))
     changed = wanted + 0.1 * rng.normal(size=16)
     changed[:2] *= -1
-    warm = least_time(matrix, changed, ones, dear, dear, cold.basis)
+    warm = min_time(matrix, changed, ones, dear, dear, cold.basis)
     check(warm, matrix, changed, ones, dear, dear)
-    fresh = least_time(matrix, changed, ones, dear, dear)
+    fresh = min_time(matrix, changed, ones, dear, dear)
     assert warm.cost == pytest.approx(fresh.cost, rel=1e-6)
     assert warm.pivots < fresh.pivots
-    again = least_time(matrix, changed, ones, dear, dear, warm.basis)
+    again = min_time(matrix, changed, ones, dear, dear, warm.basis)
     assert again.pivots == 0
 
 
@@ -70,17 +70,17 @@ def test_basis_of_dependent_columns_does_no_harm():
     matrix, wanted = np.random.default_rng(0).normal(size=(4, 30)), np.ones(4)
     matrix[:, 1] = matrix[:, 0]
     problem = matrix, wanted, np.ones(30), np.full(4, 9.0), np.full(4, 9.0)
-    times = least_time(*problem, start=np.array([0, 1, 2, 3]))
+    times = min_time(*problem, start=np.array([0, 1, 2, 3]))
     check(times, *problem)
 
 
 def test_nothing_asked_and_parts_in_one_place():
     ones, dear = np.ones(len(LIBRARY.twist)), np.full(4, 30.0)
     here = np.array([[0.1, 0.05], [0.1, 0.05]])
-    none = least_time(LIBRARY.forces(here), np.zeros(4), ones, dear, dear)
+    none = min_time(LIBRARY.forces(here), np.zeros(4), ones, dear, dear)
     assert not np.any(none.weights)
     apart = np.array([0.1, -0.1, 0.0, 0.0])  # x of both, y of both
-    times = least_time(LIBRARY.forces(here), apart, ones, dear, dear)
+    times = min_time(LIBRARY.forces(here), apart, ones, dear, dear)
     assert times.cost == pytest.approx(30 * 0.2)  # given up, at the price of doing so
     assert not np.any(times.weights)
 

@@ -17,7 +17,7 @@ from plate_solver.cycle_map import (
     end_state_gradient,
     finely_sampled,
 )
-from plate_solver.goal import Turns
+from plate_solver.goal import PartRotations
 from plate_solver.limits import Limits
 from plate_solver.sinusoids import limited_sinusoids
 from plate_solver.sinusoids.basis import TAIL_S
@@ -58,7 +58,7 @@ def test_the_announced_period_is_that_of_the_answer(rig, scene, method, count, t
     solver, none = method(rig), np.zeros(count)
     period = solver.steering_period(count, turning, lasting)
     weight = np.where(np.arange(count) < turning, 0.01, 0.0)
-    turns = Turns(none, np.full((count, 3), 1e-5), none, none, weight) if turning else None
+    turns = PartRotations(none, np.full((count, 3), 1e-5), none, none, weight) if turning else None
     goal = replace(random_goal(rig, scene, 0, count, period), turns=turns, lasting=lasting)
     assert solver.steer(goal, 1.0, 1.0).cycle.period == period
 
@@ -66,7 +66,9 @@ def test_the_announced_period_is_that_of_the_answer(rig, scene, method, count, t
 def test_a_motion_that_ends_with_the_requested_mean_velocity_meets_the_goal_ahead_too(rig, scene):
     period, coast, count = 0.2, 0.03, 3
     rotation = np.array([0.1, -0.2, 0.3])
-    turns = Turns(np.zeros(count), np.full((count, 3), 1e-5), rotation, rotation, np.ones(count))
+    turns = PartRotations(
+        np.zeros(count), np.full((count, 3), 1e-5), rotation, rotation, np.ones(count)
+    )
     goal = replace(random_goal(rig, scene, 0, count, period, 0.0005), turns=turns)
     ahead = goal.ahead(coast, period)
     end = np.concatenate([(goal.position + goal.displacement).T.ravel(), rotation])
@@ -190,7 +192,7 @@ def test_weights_that_say_nothing_are_refused(wrong):
     none, turns = np.zeros((2, 2)), np.zeros(2)
     with pytest.raises(PlateError, match=rf"^weight has {wrong:g}, allowed: finite, 0 and above$"):
         Goal(none, none, none, none, 2.45, weight=np.array([[1.0, 1.0], [1.0, wrong]]))
-    turns = Turns(turns, np.zeros((2, 3)), turns, turns, np.array([0.01, wrong]))
+    turns = PartRotations(turns, np.zeros((2, 3)), turns, turns, np.array([0.01, wrong]))
     with pytest.raises(PlateError, match=f"^weight of turns has {wrong:g}, "):
         Goal(none, none, none, none, 2.45, turns=turns)
 

@@ -19,7 +19,7 @@ from plate_solver.cycle_map import (
     end_turning,
     end_turning_gradient,
     finely_sampled,
-    room_spread,
+    home_spread,
     turning_blocks_of,
 )
 from plate_solver.sinusoids import SinusoidFamily, sinusoid_basis
@@ -33,7 +33,7 @@ INERTIA = RIG.parts.mass_kg * RADIUS**2 / 2
 
 
 def turned(footprint_spread, angle, position, velocity, spin, motion):
-    spread = room_spread(footprint_spread, angle)
+    spread = home_spread(footprint_spread, angle)
     return end_turning(position, velocity, spin, spread, *motion, FRICTION)
 
 

@@ -176,7 +176,7 @@ class CycleLog:
         return min(median_low(self.delays), LATEST) if self.delays else 0
 
     @property
-    def longest_delay(self) -> int:
+    def max_delay(self) -> int:
         """Maximum delay of the solver's last results [cycles], at most `LATEST`. A controller that
         is stable with this delay remains stable if the delays vary."""
         return min(max(self.delays, default=0), LATEST)
@@ -332,8 +332,8 @@ class CycleLog:
         """Return the log after the next cycle has begun at time t [s]."""
         arrived = [one for one in self.sent if in_time(one.arrival, t)]
         if self.delay:
-            turn = self.delay + 1 - SNAP
-            arrived = [one for one in arrived if one.requested + turn * one.cycle.period <= t]
+            cycles = self.delay + 1 - SNAP
+            arrived = [one for one in arrived if one.requested + cycles * one.cycle.period <= t]
         waiting = [
             one.cycle for one in arrived if not any(one.cycle is run for _, run in self.runs)
         ]

@@ -155,7 +155,7 @@ class DriftBias:
         latency: float | None,
         axes: np.ndarray,
         gain: float,
-        most: np.ndarray,
+        max_error: np.ndarray,
     ) -> DriftBias:
         """Return the observer after a comparison of the parts with their prediction.
 
@@ -177,7 +177,7 @@ class DriftBias:
             cycle that has ended.
         gain : float
             Gain k in the equation above, 0 to 1 [-].
-        most : (M,)
+        max_error : (M,)
             Maximum drift error along each axis [m/s]. Larger values are clipped.
         """
         row = rows_of(parts.ids, self.ids)
@@ -186,7 +186,7 @@ class DriftBias:
         drift[known], place[known] = self.drift[row[known]], self.place[row[known]]
         if self._had(latency) and self._was_for(t):
             new = np.einsum("pij,pj->pi", axes, parts.position - place) / self.span
-            new = np.clip(new, -most[:, None], most[:, None])
+            new = np.clip(new, -max_error[:, None], max_error[:, None])
             drift += gain * np.where((known & seen)[:, None], new - drift, 0.0)
         return DriftBias(parts.ids, drift, parts.position)
 
@@ -611,7 +611,7 @@ class Estimator:
         predicted: np.ndarray,
         axes: np.ndarray,
         gain: float,
-        most: np.ndarray,
+        max_error: np.ndarray,
     ) -> Estimator:
         """Update the estimated drift error with the parts at the time `stamp`. Then store
         `predicted` (M, 2) [m], which are the positions predicted for the time `next_start`. The
@@ -619,7 +619,7 @@ class Estimator:
         seen, latency = rows_of(parts.ids, self.seen.ids) >= 0, self._known_latency
         # A prediction over a short time contains less information, so the gain is reduced.
         ahead = min(self.bias.span / self.period, 1.0)
-        bias = self.bias.update(parts, seen, self.stamp, latency, axes, gain * ahead, most)
+        bias = self.bias.update(parts, seen, self.stamp, latency, axes, gain * ahead, max_error)
         bias = bias.with_prediction(predicted, self._known_until, self.next_start, latency)
         return replace(self, bias=bias, before=parts, before_stamp=self.stamp)
 

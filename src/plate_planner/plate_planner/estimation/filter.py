@@ -138,7 +138,7 @@ class StateEstimate:
         parts: Parts,
         time: np.ndarray,
         friction_accel: float,
-        most: Coast,
+        coast: Coast,
         jitter: float,
         friction: np.ndarray,
     ) -> tuple[StateEstimate, Fit]:
@@ -153,7 +153,7 @@ class StateEstimate:
             Time at which each part was exposed, for each hypothesis of the latency [s].
         friction_accel : float
             Friction coefficient of the rig multiplied by gravity, mu g [m/s2].
-        most : Coast
+        coast : Coast
             Maximum numbers of consecutive images without a detection. If this number is reached for
             a part, the part is removed.
         jitter : float
@@ -168,9 +168,9 @@ class StateEstimate:
         fit : Fit
             Prediction quality of each hypothesis for this image.
         """
-        now = self._without(most)
+        now = self._without(coast)
         if log.known and log.begin != now.start:
-            now = now._begun(log, friction_accel)
+            now = now._restarted(log, friction_accel)
         row = {name: i for i, name in enumerate(now.ids)}
         old = [i for i, name in enumerate(parts.ids) if name in row]
         new = [i for i, name in enumerate(parts.ids) if name not in row]
@@ -218,7 +218,7 @@ class StateEstimate:
         covariance[..., 3, 3] += unsure[:, None]
         return replace(self, time=time, mean=mean, covariance=covariance)
 
-    def _begun(self, log: CycleLog, friction_accel: float) -> StateEstimate:
+    def _restarted(self, log: CycleLog, friction_accel: float) -> StateEstimate:
         """Return the estimate with `start` and `start_mean` set to the start of the last cycle and
         to the predicted state at this time."""
         begin = np.maximum(self.time, log.begin).ravel()
@@ -243,11 +243,11 @@ class StateEstimate:
         covariance += cycles[:, :, None, None] * np.diag(PROCESS_NOISE**2)
         return cloud[:, :, 0], covariance
 
-    def _without(self, most: Coast) -> StateEstimate:
-        """Return the estimate without the parts that were not detected for at least `most`
+    def _without(self, coast: Coast) -> StateEstimate:
+        """Return the estimate without the parts that were not detected for at least `coast`
         consecutive images."""
         unknown = np.array([part_class(name) == UNKNOWN for name in self.ids], bool)
-        keep = self.unseen < np.where(unknown, most.unknown, most.parts)
+        keep = self.unseen < np.where(unknown, coast.unknown, coast.parts)
         if np.all(keep):
             return self
         return StateEstimate(

@@ -31,7 +31,7 @@ FIRST_INTERVAL_S = 1.5e-3
 """Standard deviation of the initial interval [s]. The initial interval is the median interval of
 the stamps."""
 
-SCATTER_FRAMES = 30
+NOISE_FRAMES = 30
 """Number of frames over which the standard deviation of the stamp noise is averaged."""
 
 DROPPED = 0.005
@@ -80,7 +80,7 @@ class FrameClock:
     covariance : (2, 2)
         Covariance matrix of the frame time and the frame interval [s2]. Infinite until both are
         known.
-    scatter : float
+    noise_s : float
         Standard deviation of the stamps [s].
     """
 
@@ -89,7 +89,7 @@ class FrameClock:
     log_likelihood: np.ndarray = field(default_factory=lambda: np.zeros(1))
     time: np.ndarray = field(default_factory=lambda: np.array([[-np.inf, np.nan]]))
     covariance: np.ndarray = field(default_factory=lambda: np.full((2, 2), np.inf))
-    scatter: float = FIRST_S
+    noise_s: float = FIRST_S
 
     @classmethod
     def at(cls, stamp: float) -> FrameClock:
@@ -109,9 +109,9 @@ class FrameClock:
     @property
     def deviation(self) -> float:
         """Standard deviation of `instant` [s]. Until the frame interval is known, it is equal to
-        `scatter`."""
+        `noise_s`."""
         if not np.isfinite(self.interval):
-            return self.scatter
+            return self.noise_s
         likely = np.exp(self.log_likelihood)
         ambiguity = likely @ (self.time[:, 0] - self.instant) ** 2 / np.sum(likely)
         return float(np.sqrt(self.covariance[0, 0] + ambiguity))
@@ -133,7 +133,7 @@ class FrameClock:
             return replace(FrameClock.at(stamp), stamps=stamps)
         interval = median(after - before for before, after in pairwise(stamps))
         if math.isfinite(known := self.interval):
-            if abs(interval - known) > OTHER * known + 2 * self.scatter:
+            if abs(interval - known) > OTHER * known + 2 * self.noise_s:
                 return FrameClock.at(stamp)
             clock = self._next(stamp)
         else:
@@ -143,7 +143,7 @@ class FrameClock:
                 clock = clock._next(each)
         # If the standard deviation of the stamps is larger, the stamps contain no information about
         # the frame times. Then restart the clock.
-        if not clock.scatter <= WIDEST * clock.interval:
+        if not clock.noise_s <= WIDEST * clock.interval:
             return FrameClock.at(stamp)
         return replace(clock, stamps=stamps)
 
@@ -163,11 +163,11 @@ class FrameClock:
         """
         if not math.isfinite(self.interval):
             return FrameClock.at(stamp)
-        most = int(np.ceil(np.max((stamp - self.time[:, 0]) / self.time[:, 1]))) + 1
-        count = np.arange(1, max(most, 1) + 1)
+        max_frames = int(np.ceil(np.max((stamp - self.time[:, 0]) / self.time[:, 1]))) + 1
+        count = np.arange(1, max(max_frames, 1) + 1)
         late = stamp - self.time[:, :1] - self.time[:, 1:] * count
         (one, both), (_, interval) = self.covariance
-        spread = one + 2 * count * both + count**2 * interval + self.scatter**2
+        spread = one + 2 * count * both + count**2 * interval + self.noise_s**2
         likely = self.log_likelihood[:, None] + (count - 1) * np.log(DROPPED)
         likely = likely - (late**2 / spread + np.log(spread)) / 2
         frame = self.frame[:, None] + count
@@ -180,7 +180,7 @@ class FrameClock:
         move = np.array([[1.0, step], [0.0, 1.0]])
         covariance = move @ self.covariance @ move.T
         covariance += step * np.diag([WANDER_S**2, DRIFT_S**2])
-        variance = covariance[0, 0] + self.scatter**2
+        variance = covariance[0, 0] + self.noise_s**2
         square = late[best] ** 2 / variance
         if square > IRREGULAR**2:
             return FrameClock.at(stamp)
@@ -188,8 +188,8 @@ class FrameClock:
         time = self.time[before].copy()
         time[:, 0] += count[after] * time[:, 1]
         time += late[:, None] * gain
-        scatter = self.scatter * np.sqrt(1 + (square - 1) / SCATTER_FRAMES)
+        noise_s = self.noise_s * np.sqrt(1 + (square - 1) / NOISE_FRAMES)
         return FrameClock(
             (stamp,), numbers - numbers[best], likely - likely[best], time,
-            covariance - np.outer(gain, covariance[0]), max(float(scatter), MIN_S),
+            covariance - np.outer(gain, covariance[0]), max(float(noise_s), MIN_S),
         )  # fmt: skip

@@ -33,7 +33,7 @@ noise of the camera."""
 MAX_S = 0.5
 """Maximum latency [s]."""
 
-FEWEST_IMAGES = 4
+MIN_IMAGES = 4
 """Minimum number of images before the grid of latencies may change."""
 
 CLEAR = 12.0
@@ -165,7 +165,7 @@ class LatencyHypotheses:
         unsure: float,
         delay: np.ndarray,
         friction_accel: float,
-        most: Coast,
+        coast: Coast,
         friction: np.ndarray,
     ) -> LatencyHypotheses:
         """Return the hypotheses updated with the parts of an image with the stamp t [s].
@@ -183,7 +183,7 @@ class LatencyHypotheses:
         fading = np.exp(-max(t - self.latency - last, 0.0) / FADING_S)
         jitter = max(self.jitter.deviation, unsure)
         estimate, fit = self.estimate.update(
-            log, parts, time, friction_accel, most, jitter, friction
+            log, parts, time, friction_accel, coast, jitter, friction
         )
         moved = any(np.any(cycle.knot_pose) for _, cycle in log.runs[-2:])
         if not moved:
@@ -200,7 +200,7 @@ class LatencyHypotheses:
             return seen
         if self.estimated and seen.misfit > MISFIT:
             restarted = replace(LatencyHypotheses.of(None), jitter=self.jitter, trusting=False)
-            return restarted.update(log, parts, t, unsure, delay, friction_accel, most, friction)
+            return restarted.update(log, parts, t, unsure, delay, friction_accel, coast, friction)
         if len(self.latencies) == 1:
             return seen
         likely = seen.log_likelihood
@@ -215,7 +215,7 @@ class LatencyHypotheses:
         at_end = best == len(STEPS) - 1 or (best == 0 and self.latencies[0] > 0)
         given_up = middle if at_end else np.abs(STEPS - STEPS[best]) > 1
         other = at_end or step > FINE_S or best != middle
-        enough = seen.images >= FEWEST_IMAGES
+        enough = seen.images >= MIN_IMAGES
         if enough and other and likely[best] - np.max(likely[given_up]) > CLEAR:
             step = min(2 * step, COARSE_S) if at_end else max(step / 2, FINE_S)
             return seen._around(best, step, log, friction_accel)

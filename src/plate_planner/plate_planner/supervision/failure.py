@@ -90,11 +90,11 @@ def shortfall_text(
     row = request.ids.index(name)
     drift, got = request.drift[row], parts.velocity[worst]
     part = rig.part_type(part_class(name))
-    most = 1e3 * (part.mass_kg or 0.0) * (part.mu or 0.0) * rig.friction.gravity
+    bound = 1e3 * (part.mass_kg or 0.0) * (part.mu or 0.0) * rig.friction.gravity
     force = 1e3 * float(np.hypot(*request.force[row]))
     text += (
         f": its requested drift was ({1e3 * drift[0]:.1f}, {1e3 * drift[1]:.1f}) mm/s (which needs "
-        f"{force:.1f} of {most:.1f} mN of friction), its actual drift was ({1e3 * got[0]:.1f}, "
+        f"{force:.1f} of {bound:.1f} mN of friction), its actual drift was ({1e3 * got[0]:.1f}, "
         f"{1e3 * got[1]:.1f}) mm/s"
     )
     size = float(np.hypot(*drift))

@@ -250,10 +250,10 @@ class Inputs:
         self, now: float, began: float, period: float, publishers: Callable[[str], int]
     ) -> Failure | None:
         timeout = self.timeout(period)
-        silence = min(self.driver.age(now), now - began)
-        if silence > self.driver.timeout_s:
+        age = min(self.driver.age(now), now - began)
+        if age > self.driver.timeout_s:
             nobody = "" if publishers("driver_status") else "no node publishes it; "
-            why = f"no driver_status for {silence:.1f} s; {nobody}{self.driver.advice}"
+            why = f"no driver_status for {age:.1f} s; {nobody}{self.driver.advice}"
             return Failure(Reason.NO_DRIVER, why)
         if self.error_since is not None:
             if now - max(self.error_since, began) > ERROR_TIMEOUT_S:
@@ -263,19 +263,19 @@ class Inputs:
         if self.enabled_again is not None and self.enabled_again > began:
             why = "driver: the motors were stopped and enabled again"
             return Failure(Reason.DRIVER_STOPPED, why)
-        silent = self.starts is not None and min(self.starts.age(now), now - began)
-        if self.starts is not None and silent > max(self.starts.timeout_s, CYCLES * period):
+        start_age = self.starts is not None and min(self.starts.age(now), now - began)
+        if self.starts is not None and start_age > max(self.starts.timeout_s, CYCLES * period):
             # The missing cycle starts are the cause. Missing inputs from other nodes are a
             # consequence.
             return Failure(Reason.NO_CYCLE, self.starts_problem(now))
-        silence = min(self.parts.age(now), now - began)
+        age = min(self.parts.age(now), now - began)
         if self.unanswered is not None:  # in lockstep the simulator waits for the result
-            silence, advice = now - max(self.unanswered, began), "check that the solver runs"
-            if silence > timeout:
+            age, advice = now - max(self.unanswered, began), "check that the solver runs"
+            if age > timeout:
                 why = self._blame("plate_cycle", "solver", advice, now, publishers)
-                return Failure(Reason.NO_CYCLE, f"no plate_cycle for {silence:.1f} s; {why}")
-        elif silence > timeout:
-            return Failure(Reason.NO_PARTS, self._no_parts(now, silence, publishers))
+                return Failure(Reason.NO_CYCLE, f"no plate_cycle for {age:.1f} s; {why}")
+        elif age > timeout:
+            return Failure(Reason.NO_PARTS, self._no_parts(now, age, publishers))
         seen = self.reports.get("detector")
         # An error of the detector means that its positions are wrong.
         wrong = seen is not None and seen.level is Level.ERROR
@@ -359,8 +359,8 @@ class Inputs:
             self, parts=parts, driver=driver, ran=now, unanswered=None, reports={}, starts=starts
         )
 
-    def _no_parts(self, now: float, silence: float, publishers: Callable[[str], int]) -> str:
-        return f"no parts for {silence:.1f} s; {self._blame_for_parts(now, publishers)}"
+    def _no_parts(self, now: float, age: float, publishers: Callable[[str], int]) -> str:
+        return f"no parts for {age:.1f} s; {self._blame_for_parts(now, publishers)}"
 
     def _blame_for_parts(self, now: float, publishers: Callable[[str], int]) -> str:
         return self._blame("parts", "detector", self.parts.advice, now, publishers)

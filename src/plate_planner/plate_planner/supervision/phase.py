@@ -192,12 +192,12 @@ def missing_parts(scenario: Scenario, known: tuple[str, ...], parts: Parts) -> t
     missing parts."""
     there = Counter(part_class(i) for i in parts.ids)
     names: list[str] = []
-    for label, wanted in Counter(scenario.labels).items():
-        short = wanted - there[label]
+    for label, count in Counter(scenario.labels).items():
+        short = count - there[label]
         if short <= 0:
             continue
-        gone = [i for i in known if part_class(i) == label and i not in parts.ids]
-        names += gone[:short] if len(gone) >= short else [f"{short} of {wanted} {label} parts"]
+        absent = [i for i in known if part_class(i) == label and i not in parts.ids]
+        names += absent[:short] if len(absent) >= short else [f"{short} of {count} {label} parts"]
     return tuple(names)
 
 
@@ -339,8 +339,8 @@ def evaluate(state: TaskState, t: float, findings: Findings, limits: TaskLimits)
     reason, text = Reason.NONE, ""
     # If the goal was met within the time limit, allow additional time for an image of the parts at
     # rest.
-    longest = limits.time_limit_s + (limits.unseen_timeout_s if held else 0.0)
-    if state.elapsed(t) > longest + TIME_TOLERANCE_S:
+    limit_s = limits.time_limit_s + (limits.unseen_timeout_s if held else 0.0)
+    if state.elapsed(t) > limit_s + TIME_TOLERANCE_S:
         reason, text = Reason.TIME_LIMIT, f"time limit of {limits.time_limit_s:g} s"
         if state.nearest_at > max(t - STILL_S, t - state.elapsed(t)):
             text += " (the parts still get nearer to their goals: increase time_limit_s)"

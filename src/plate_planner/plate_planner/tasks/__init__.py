@@ -20,12 +20,12 @@ from .move import MoveMemory, Mover
 from .pose import PoseMemory, Poser
 from .sort import Sorter
 from .targets import CROWD, assign
-from .task import SIGHT_M, SIGHT_RAD, Assessment, Situation, TaskRules
+from .task import ANGLE_ERROR_RAD, POSITION_ERROR_M, Assessment, Situation, TaskRules
 
 __all__ = [
+    "ANGLE_ERROR_RAD",
     "CROWD",
-    "SIGHT_M",
-    "SIGHT_RAD",
+    "POSITION_ERROR_M",
     "SLOWED",
     "Assembler",
     "Assessment",

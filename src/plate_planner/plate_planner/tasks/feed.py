@@ -81,7 +81,7 @@ the same part [m]."""
 BEYOND_M = 0.01
 """Minimum distance of the targets of unwanted parts outside the chute's edge [m]."""
 
-FAR_M = 0.1
+MAX_BEYOND_M = 0.1
 """Maximum distance of the targets of unwanted parts outside the chute's edge [m]."""
 
 NEAR_EDGE = 1.5
@@ -254,7 +254,7 @@ class Feeder(TaskRules):
         new = every.take([i for i, name in enumerate(every.ids) if name not in memory.place])
         for name, place in () if now.kept else memory.place.items():
             if name not in every.ids and not _is_among(new, name, place):
-                side = self._left_over(name, np.array(place))
+                side = self._exit_side(name, np.array(place))
                 meant = side == self._chute and not self._is_wanted(name)
                 discharged += side is not None and meant
                 lost += side is not None and not meant
@@ -277,7 +277,7 @@ class Feeder(TaskRules):
         labels = [pick.label for pick in self._picks]
         return self._mode is not FeedMode.PURGE and part_class(name) in labels
 
-    def _left_over(self, name: str, place: np.ndarray) -> tuple[int, int] | None:
+    def _exit_side(self, name: str, place: np.ndarray) -> tuple[int, int] | None:
         """Return the side over which a vanished part has left the plate, or None if it has not left
         the plate. `place` (2,) [m] is the last position of the part."""
         reach = self.rig.part_type(part_class(name)).reach_m
@@ -318,12 +318,12 @@ class Feeder(TaskRules):
         aims, chosen = Aims.none(parts, self.rig), []
         purging = self._mode is FeedMode.PURGE
         for row, pick in enumerate(() if purging else self._picks):
-            mine = self._aim(aims, parts, pick, near[row])
+            matching = self._aim(aims, parts, pick, near[row])
             missing = pick.ready - int(np.sum(near[row]))
             if missing > 0:
                 cost = aims.left + np.maximum(self._keep - gap, 0)
                 cost -= CHANGE_M * np.array([name in memory.chosen for name in parts.ids], float)
-                cost[~mine | near[row]] = np.inf
+                cost[~matching | near[row]] = np.inf
                 best = np.argsort(cost)[:missing]
                 best = best[np.isfinite(cost[best])]
                 aims.full[best] = True
@@ -344,26 +344,26 @@ class Feeder(TaskRules):
         """Set the window and the angle of a pick as targets for the parts of the pick's class.
         `near` (M,) states which parts are ready. Return a mask (M,) that is True for the parts of
         this class."""
-        mine = np.array([part_class(name) == pick.label for name in parts.ids], dtype=bool)
+        matching = np.array([part_class(name) == pick.label for name in parts.ids], dtype=bool)
         low, high = pick_window(pick, self.rig)
         low, high = behind_wall(low, high, pick.label, self.rig)
         margin = np.minimum(MARGIN_M, (high - low) / 2)
-        aims.low[mine], aims.high[mine] = low + margin, high - margin
-        aims.weight[mine] = STOCK
+        aims.low[matching], aims.high[matching] = low + margin, high - margin
+        aims.weight[matching] = STOCK
         aims.full |= near
         if pick.angle is not None:
             symmetry = self.rig.part_type(pick.label).symmetry
-            aims.turn[mine] = remaining_rotation(parts, pick.angle, symmetry)[mine]
-            aims.slack[mine], aims.angled[mine] = BAND * pick.tolerance_rad, True
+            aims.rotation[matching] = remaining_rotation(parts, pick.angle, symmetry)[matching]
+            aims.slack[matching], aims.angled[matching] = BAND * pick.tolerance_rad, True
             aims.slack[near] = KEPT * pick.tolerance_rad
-        return mine
+        return matching
 
     def _aim_at_chute(self, aims: Aims, unwanted: np.ndarray) -> None:
         """Set targets outside the chute's edge for the parts with the indices `unwanted` (n,). The
         part nearest to the chute gets the largest weight."""
         out, half = np.array(self._chute, float), self.rig.plate.half
         for axis in np.flatnonzero(out):
-            ends = out[axis] * (half[axis] + np.array([BEYOND_M, FAR_M]))
+            ends = out[axis] * (half[axis] + np.array([BEYOND_M, MAX_BEYOND_M]))
             aims.low[unwanted, axis], aims.high[unwanted, axis] = ends.min(), ends.max()
         aims.leaving[unwanted] = True
         first = unwanted[np.argmin(aims.left[unwanted])]
@@ -386,7 +386,7 @@ class Aims:
         Weight of the distance from the target, divided by the full weight [-].
     full : (M,) bool
         Whether each part has at least the full weight.
-    angle, turn, slack : (M,)
+    angle, rotation, slack : (M,)
         Present angle of each part, requested rotation, and tolerance of the rotation [rad].
     angled : (M,) bool
         Whether an angle is requested for each part.
@@ -402,7 +402,7 @@ class Aims:
     weight: np.ndarray
     full: np.ndarray
     angle: np.ndarray
-    turn: np.ndarray
+    rotation: np.ndarray
     slack: np.ndarray
     angled: np.ndarray
     leaving: np.ndarray
@@ -425,7 +425,7 @@ class Aims:
         """Remaining motion of each part (M,) [m]. The remaining motion is the distance from the
         target, plus the arc length of the remaining rotation at the part's edge."""
         distance = np.hypot(*(self.position - np.clip(self.position, self.low, self.high)).T)
-        return np.asarray(distance + self.reach * np.maximum(np.abs(self.turn) - self.slack, 0))
+        return np.asarray(distance + self.reach * np.maximum(np.abs(self.rotation) - self.slack, 0))
 
     def targets(self, gap_m: float) -> Targets:
         """Return the targets of the parts for the request to the solver. `gap_m` is the minimum
@@ -445,7 +445,7 @@ class Aims:
         weight = counts * np.where(self.full, np.maximum(self.weight, 1.0), self.weight)
         angles, turned = None, self.angled & self.full
         if np.any(turned):
-            goal = self.angle + self.turn
+            goal = self.angle + self.rotation
             angles = AngleTargets(
                 goal - self.slack, goal + self.slack, counts * self.reach * turned
             )

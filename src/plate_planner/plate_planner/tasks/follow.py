@@ -47,7 +47,7 @@ SLOW_DOWN = 0.7
 """Factor by which the speed scaling of the references decreases after a cycle whose shortfall
 exceeds `LACKING` [-]."""
 
-LEAST = 0.05
+MIN_SCALING = 0.05
 """A shortfall of drift does not reduce the speed scaling of the references below this value [-].
 Without this minimum, the task could get stuck, because a shortfall may persist while the references
 stand still. For position errors there is no such minimum, because they decrease while the
@@ -64,7 +64,7 @@ errors increase with the speed."""
 SPEED_UP = 0.1
 """Maximum increase of the references' speed scaling per cycle [-]. The decrease can be faster."""
 
-TURN = 0.12
+CORNER_ACCEL = 0.12
 """Maximum acceleration of the references at corners, starts and ends of paths [mu g]. The
 references slow down before these points so that the acceleration is not exceeded."""
 
@@ -84,7 +84,7 @@ SLOW_FROM = 0.15
 SLOW_TO = 0.5
 """If the error of a part exceeds this fraction of max_error_m, the references stop."""
 
-LEAD_TO_M = 1e-3
+APPROACH_M = 1e-3
 """Minimum tolerance with which the parts must reach the starts of their paths [m]. The tolerance is
 `SLOW_FROM` * max_error_m if this value is larger. With such an error, the references can start at
 full speed."""
@@ -157,9 +157,9 @@ def pd_drift(
     (M, 2)
         Drift [m/s, plate_home].
     """
-    wanted = (reference_after - reference + kp * (reference - predicted)) / period
-    magnitude = np.hypot(*wanted.T)
-    return wanted * np.minimum(1, speed_max / np.maximum(magnitude, 1e-12))[:, None]
+    drift = (reference_after - reference + kp * (reference - predicted)) / period
+    magnitude = np.hypot(*drift.T)
+    return drift * np.minimum(1, speed_max / np.maximum(magnitude, 1e-12))[:, None]
 
 
 @dataclass(frozen=True)
@@ -181,7 +181,7 @@ class FollowMemory:
     leading : bool
         Whether parts are still moving to the starts of their paths. In this case, the references do
         not move.
-    lead_s : float
+    approach_s : float
         Duration of the motion to the starts of the paths [s].
     square_sum, samples : float, int
         Sum of the squared distances of the parts from their references [m2], and the number of
@@ -199,7 +199,7 @@ class FollowMemory:
     progress: float = 0.0
     scaling: tuple[float, float] = (1.0, 1.0)
     leading: bool = False
-    lead_s: float = 0.0
+    approach_s: float = 0.0
     square_sum: float = 0.0
     samples: int = 0
     max_error_m: float = 0.0
@@ -261,7 +261,7 @@ class Follower(TaskRules):
         else:
             memory = self._begun(memory, now)
             if memory.leading:
-                return memory, self._lead(memory, now)
+                return memory, self._approach(memory, now)
             memory, parts = self.measure(memory, now), now.parts
             error = self.errors(memory, parts, now.stamp)
             found = Assessment(
@@ -295,14 +295,14 @@ class Follower(TaskRules):
         again = self.begin(now.parts, start)
         if not now.latency_known:
             again = replace(again, scaling=(SLOW_START, SLOW_START))
-        led = 0.0 if memory is None else memory.lead_s
+        led = 0.0 if memory is None else memory.approach_s
         if memory is not None and memory.leading:
             led += max(start - memory.began, 0.0)
         far = np.nan_to_num(self._leader.distance(now.parts)) > self._leader.task.tolerance_m
         leading = (memory is None or memory.leading) and bool(np.any(far))
-        return replace(again, leading=leading, lead_s=led)
+        return replace(again, leading=leading, approach_s=led)
 
-    def _lead(self, memory: FollowMemory, now: Situation) -> Assessment:
+    def _approach(self, memory: FollowMemory, now: Situation) -> Assessment:
         """Return the assessment of an image while parts move to the starts of their paths. The
         motion to the starts uses the rules of an assembling task."""
         found = self._leader.assess(None, now)[1]
@@ -319,7 +319,7 @@ class Follower(TaskRules):
     def _leader(self) -> Assembler:
         """Rules for the motion of the parts to the starts of their paths."""
         starts = tuple(path.waypoint[0] for path in self.task.paths)
-        near = max(SLOW_FROM * self.task.max_error_m, LEAD_TO_M)
+        near = max(SLOW_FROM * self.task.max_error_m, APPROACH_M)
         return Assembler(AssembleTask(tuple(self._labels), starts, near, 0.0), self.rig)
 
     def check(self, scenario: Scenario) -> None:
@@ -399,18 +399,18 @@ class Follower(TaskRules):
         limited.
         """
         factor = (SLOW_TO - worst / self.task.max_error_m) / (SLOW_TO - SLOW_FROM)
-        most = max(before * SLOW_DOWN, LEAST) if lacking > LACKING else before + SPEED_UP
-        return float(np.clip(factor, 0, min(1.0, most)))
+        upper = max(before * SLOW_DOWN, MIN_SCALING) if lacking > LACKING else before + SPEED_UP
+        return float(np.clip(factor, 0, min(1.0, upper)))
 
     def _ahead(self, time: float, period: float) -> float:
         """Return the maximum speed scaling of the references at the path time `time` [s]. With this
-        scaling, no corner ahead requires an acceleration above `TURN`.
+        scaling, no corner ahead requires an acceleration above `CORNER_ACCEL`.
 
         With the scaling s, the path time p advances by dp = s dt. Let a be the maximum deceleration
         of a part and v the speed of the path. Then s ds/dp = a/v. Therefore s^2 may be larger by 2
         a/v for each second of path time before a corner.
         """
-        accel, fastest = TURN * self.rig.friction.accel, float(np.max(self._speeds))
+        accel, fastest = CORNER_ACCEL * self.rig.friction.accel, float(np.max(self._speeds))
         away = np.arange(0.0, fastest / (2 * accel) + period, period / CLOSE)
         change = np.zeros(len(away))
         for path in self.paths:
@@ -464,8 +464,8 @@ class Follower(TaskRules):
         text = (
             f"error {1e3 * memory.rms_error_m:.2f} mm RMS, maximum {1e3 * memory.max_error_m:.2f}"
         )
-        if memory.lead_s > 0:
-            text += f"; {memory.lead_s:.1f} s of the time to reach the starts of the paths"
+        if memory.approach_s > 0:
+            text += f"; {memory.approach_s:.1f} s of the time to reach the starts of the paths"
         pace = memory.pace(t)
         if pace >= SLOWED:
             return text

@@ -100,21 +100,21 @@ class Mover(TaskRules):
             remaining.requested, remaining.distance + reach * np.abs(remaining.missing), 0.0
         )
         error, count = remaining.distance[remaining.requested], int(np.count_nonzero(there))
-        wanted = [target.id for target in self.task.targets]
+        ids = [target.id for target in self.task.targets]
         to_go = float(np.sum(distance))
-        text = f"{count} of {len(wanted)} at their targets, {1e3 * to_go:.0f} mm to go"
+        text = f"{count} of {len(ids)} at their targets, {1e3 * to_go:.0f} mm to go"
         return memory, Assessment(
             request=self.request(parts, remaining),
-            goal_met=count == len(wanted),
+            goal_met=count == len(ids),
             count=count,
             distance=distance,
             to_go_m=to_go,
-            missing=tuple(name for name in wanted if name not in parts.ids) or None,
+            missing=tuple(name for name in ids if name not in parts.ids) or None,
             rms_error_m=float(np.sqrt(np.mean(error**2))) if len(error) else 0.0,
             max_error_m=float(np.max(error, initial=0.0)),
             turn_error=float(np.max(np.abs(remaining.missing), initial=0.0)),
             outcome=text,
-            doing="; ".join([text, *self._in_the_way(parts, remaining, there)]),
+            doing="; ".join([text, *self._obstructions(parts, remaining, there)]),
         )
 
     def remaining(self, memory: MoveMemory, parts: Parts) -> RemainingMotion:
@@ -151,7 +151,9 @@ class Mover(TaskRules):
             remaining.aim - band, remaining.aim + band, weight[:, None] * np.ones(2), gap, angles
         )
 
-    def _in_the_way(self, parts: Parts, remaining: RemainingMotion, there: np.ndarray) -> list[str]:
+    def _obstructions(
+        self, parts: Parts, remaining: RemainingMotion, there: np.ndarray
+    ) -> list[str]:
         """Return a text for each part that occupies the target of another part."""
         reach = np.array([part.reach_m for part in self._types(parts)])
         texts = []

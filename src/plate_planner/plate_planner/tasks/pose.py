@@ -61,7 +61,7 @@ class Poser(TaskRules):
         error, angle = self.errors(memory, parts)
         reach = np.array([self._reach(part_class(name)) for name in parts.ids])
         distance = error + reach * np.abs(angle)
-        turn = float(np.max(np.abs(angle), initial=0.0))
+        max_angle = float(np.max(np.abs(angle), initial=0.0))
         count = self.count(memory, parts)
         return memory, Assessment(
             request=self.request(memory, parts),
@@ -72,9 +72,9 @@ class Poser(TaskRules):
             problem=self.problem(memory, parts),
             rms_error_m=float(np.sqrt(np.mean(error**2))) if len(error) else 0.0,
             max_error_m=float(np.max(error, initial=0.0)),
-            turn_error=turn,
+            turn_error=max_angle,
             outcome=f"maximum error {1e3 * np.max(error, initial=0.0):.1f} mm and "
-            f"{np.degrees(turn):.1f} degrees",
+            f"{np.degrees(max_angle):.1f} degrees",
         )
 
     def begin(self, parts: Parts) -> PoseMemory:

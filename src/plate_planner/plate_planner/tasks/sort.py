@@ -82,17 +82,17 @@ class Sorter(TaskRules):
             region = self.task.regions[group.label]
             if isinstance(region, Bin):
                 slot = self._bins[group.label][1]
-                room, hint = len(slot), f"{SLOT_SPACING:g} part radii apart"
+                capacity, hint = len(slot), f"{SLOT_SPACING:g} part radii apart"
                 if len(slot):
                     away = np.min(self.rig.plate.half - np.abs(slot))
                     hint += f", the nearest {1e3 * away:.3g} mm from the plate's edges"
             else:
-                room = self._room(group.label, region)
+                capacity = self._capacity(group.label, region)
                 hint = "touching; a lower goal_fraction gives more space"
-            if group.count > room:
+            if group.count > capacity:
                 raise ScenarioError(
                     f"{scenario.where}: task: regions: {group.label} has {group.count} parts, "
-                    f"allowed: at most {room} in its region ({hint})"
+                    f"allowed: at most {capacity} in its region ({hint})"
                 )
         radius = self.rig.parts.radius_m
         for (one, (_, a)), (other, (_, b)) in combinations(self._bins.items(), 2):
@@ -104,7 +104,7 @@ class Sorter(TaskRules):
                     "do not overlap"
                 )
 
-    def _room(self, label: str, region: Side) -> int:
+    def _capacity(self, label: str, region: Side) -> int:
         """Return the number of parts of a class that have space in a side or corner region, in a
         square pattern."""
         half, wide = self.rig.plate.half, 2 * self.rig.parts.radius_m
@@ -175,20 +175,22 @@ class Sorter(TaskRules):
         displacement = self._displacements(parts, sign)
         low, high = np.where(sign > 0, line, -half), np.where(sign < 0, -line, half)
         for rows, region, slot in self._binned(parts.ids):
-            mine = parts.take(rows)
-            label = part_class(mine.ids[0])
-            place = slot[assign((label,) * len(slot), slot, mine)]
-            room = region.exterior.distance(shapely.MultiPoint(place)) - self.rig.parts.radius_m
-            room = max(room, 0.0)
-            inside = behind_wall(place - room, place + room, label, self.rig)
+            group = parts.take(rows)
+            label = part_class(group.ids[0])
+            place = slot[assign((label,) * len(slot), slot, group)]
+            clearance = (
+                region.exterior.distance(shapely.MultiPoint(place)) - self.rig.parts.radius_m
+            )
+            clearance = max(clearance, 0.0)
+            inside = behind_wall(place - clearance, place + clearance, label, self.rig)
             low[rows], high[rows] = inside
             displacement[rows] = place - parts.position[rows]
         requested = (low > -half) | (high < half)
         weight = np.where(requested, distance_weight(displacement), 0.0)
         # Parts that are far from their sides use one lane to move to the left and another lane to
         # move to the right. Therefore a single rotating force field moves all these parts.
-        most = CROWDED_LANE if len(parts) > CROWD else LANE
-        lane = most * np.minimum(displacement[:, 0] / LANE_M, 1) * (sign[:, 0] != 0)
+        max_lane = CROWDED_LANE if len(parts) > CROWD else LANE
+        lane = max_lane * np.minimum(displacement[:, 0] / LANE_M, 1) * (sign[:, 0] != 0)
         if not _diagonal(sign):
             lane[sign[:, 1] != 0] = 0
         if np.all(sign[:, 0] >= 0) or np.all(sign[:, 0] <= 0):
@@ -252,11 +254,11 @@ def _grid(region: Bin, edge_m: float, rig: Rig) -> np.ndarray:
     plate's edges."""
     outline = shapely.Polygon(region.corner)
     spacing, clear = SLOT_SPACING * rig.parts.radius_m, SLOT_CLEAR * rig.parts.radius_m
-    room = (
+    limit = (
         rig.plate.half - edge_m + clear
     )  # the outermost grid points are `clear` inside these bounds
     low, high = np.reshape(outline.bounds, (2, 2))
-    low, high = np.maximum(low, -room), np.minimum(high, room)
+    low, high = np.maximum(low, -limit), np.minimum(high, limit)
     best = np.zeros((0, 2))
     for shift in np.ndindex(GRID_TRIES, GRID_TRIES):
         start = low + clear + spacing * np.array(shift) / GRID_TRIES

@@ -71,18 +71,18 @@ def match_targets(
 
 
 def match_by_cost(
-    labels: Sequence[str], cost: np.ndarray, parts: Parts, most: float = np.inf
+    labels: Sequence[str], cost: np.ndarray, parts: Parts, max_cost: float = np.inf
 ) -> tuple[str, ...]:
     """Assign parts to P targets of their class. The assignment has the minimum sum of the costs
-    `cost` (P, M) [m2]. If an assignment costs more than `most` [m2], the part is not assigned. The
-    result has the same form as in `match_targets`."""
+    `cost` (P, M) [m2]. If an assignment costs more than `max_cost` [m2], the part is not assigned.
+    The result has the same form as in `match_targets`."""
     match = [UNMATCHED] * len(labels)
     if not len(parts) or not labels:
         return tuple(match)
     same = np.array([[part_class(i) == label for i in parts.ids] for label in labels])
     every = np.where(same, cost, WRONG_CLASS_M**2)
     for k, part in zip(*linear_sum_assignment(every), strict=True):
-        if same[k, part] and cost[k, part] <= most:
+        if same[k, part] and cost[k, part] <= max_cost:
             match[k] = parts.ids[part]
     return tuple(match)
 

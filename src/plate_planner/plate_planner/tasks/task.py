@@ -14,7 +14,7 @@ from plate_core.tasks import Scenario
 
 from .drift import DriftInterval
 
-SIGHT_M, SIGHT_RAD = 3e-4, 0.01
+POSITION_ERROR_M, ANGLE_ERROR_RAD = 3e-4, 0.01
 """Maximum error of the measured position [m] and of the measured angle [rad] of a part. Tasks are
 evaluated with measured poses."""
 

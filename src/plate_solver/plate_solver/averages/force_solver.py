@@ -96,7 +96,7 @@ class ForceSolver(MotionSolver):
             raise PlateError(f"refine is {refine!r}, allowed: {', '.join(REFINEMENTS)}")
         if refine == "cycle":
             request = replace(request, curl=np.full(len(request.force), np.nan))
-        own, most, attempt = self._map(refine)
+        error, max_force, attempt = self._map(refine)
 
         def nothing() -> Solution:
             rest = PlateCycle.rest(self.steering_period(len(request.force)))
@@ -108,7 +108,9 @@ class ForceSolver(MotionSolver):
             return nothing()
         exact = refine == "none"
         prove = self.proven_out_of_reach if exact else None
-        return largest_fraction(request, self.library, attempt, nothing, 3 * own, most, prove)
+        return largest_fraction(
+            request, self.library, attempt, nothing, 3 * error, max_force, prove
+        )
 
     def proven_out_of_reach(self, request: Request) -> bool:
         """Whether it is proven that no motion of this method meets a request. False means only that

@@ -26,7 +26,7 @@ import numpy as np
 
 from plate_core import PlateError, Rig
 
-from ..library import Library, least_time
+from ..library import Library, min_time
 from ..library.condition import columns_of, second_moment, unit
 
 DEAR = 1e6
@@ -124,7 +124,7 @@ def _force_along(columns: np.ndarray, direction: np.ndarray) -> tuple[float, np.
     hull's face at the point."""
     rows, count = columns.shape
     dear = np.full(rows, DEAR)
-    plan = least_time(columns, direction, np.ones(count), dear, dear)
+    plan = min_time(columns, direction, np.ones(count), dear, dear)
     if np.max(np.abs(plan.miss)) > 1e-6:
         return 0.0, plan.price
     return 1 / plan.cost, plan.price

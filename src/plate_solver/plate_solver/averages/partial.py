@@ -17,7 +17,7 @@ from ..goal import Solution, Status
 from ..library import Library
 from .request import Request
 
-LEFT_OUT = 1.15
+MAX_TRIED = 1.15
 """Maximum fraction of a request that is tried, divided by the upper bound from the library of
 rotations. The value is above 1, because this bound is a few per cent too low. The bound is too low
 because the library contains a finite number of rotations."""
@@ -49,9 +49,9 @@ def easiest_force(request: Request, library: Library) -> np.ndarray:
     rows = library.forces(request.position)
     requested, slack = request.force.T.ravel(), request.tolerance.T.ravel()
     bounded, matrix = np.isfinite(slack), np.hstack([rows, -rows])
-    most = np.concatenate([(requested + slack)[bounded], (slack - requested)[bounded]])
+    bounds = np.concatenate([(requested + slack)[bounded], (slack - requested)[bounded]])
     result = linprog(
-        np.ones(matrix.shape[1]), np.vstack([matrix[bounded], -matrix[bounded]]), most,
+        np.ones(matrix.shape[1]), np.vstack([matrix[bounded], -matrix[bounded]]), bounds,
         method="highs",
     )  # fmt: skip
     if result.status != 0:
@@ -64,8 +64,8 @@ def largest_fraction(
     library: Library,
     attempt: Callable[[Request], Solution],
     nothing: Callable[[], Solution],
-    least: float,
-    most: float,
+    resolution: float,
+    limit: float,
     prove: Callable[[Request], bool] | None,
 ) -> Solution:
     """Solve a request. If this fails, solve the largest fraction of the request that a bisection
@@ -83,10 +83,10 @@ def largest_fraction(
     nothing : function
         Function that returns the solution in which the plate rests. It is called if no fraction of
         the request is feasible.
-    least : float
+    resolution : float
         The bisection ends when the force difference between both bounds is less than this value [mu
         m g].
-    most : float
+    limit : float
         Maximum force that a motion can exert on a part [mu m g].
     prove : function, optional
         Function that returns whether a request is proven infeasible. The function is slow and is
@@ -94,7 +94,7 @@ def largest_fraction(
         the fraction are compared. The solution with the smaller error for the whole request is
         returned.
     """
-    fits = min(1.0, most / max(request.flags.loaded, 1e-300))
+    fits = min(1.0, limit / max(request.flags.loaded, 1e-300))
     whole = attempt(request if fits == 1 else request.times(fits))
     if whole.success and fits == 1:
         return whole
@@ -102,11 +102,11 @@ def largest_fraction(
     iterations = whole.iterations
     if not request.flags.moving and not request.flags.slack:
         bound = library.reachable_fraction(request.position, request.force)
-        high = min(high, LEFT_OUT * most * bound)
-    greatest = float(np.max(np.abs(request.force)))
+        high = min(high, MAX_TRIED * limit * bound)
+    peak = float(np.max(np.abs(request.force)))
     trial = fits * CAUTION * _along(fits * request.force, whole.residual)
     for _ in range(BISECTIONS):
-        if (high - low) * greatest < least:
+        if (high - low) * peak < resolution:
             break
         fraction = trial if low < trial < high else (low + high) / 2
         trial = 0.0
@@ -122,7 +122,8 @@ def largest_fraction(
         why = f"proven impossible for such motions; {why}"
     if fits < 1:
         why = (
-            f"the requested force on a part is {request.flags.loaded:.3g} mu m g, allowed: {most:g}"
+            f"the requested force on a part is {request.flags.loaded:.3g} mu m g, "
+            f"allowed: {limit:g}"
         )
     rest_of_whole = whole.residual + (1 - fits) * request.force
     if low > 0:
@@ -161,5 +162,5 @@ def _along(requested: np.ndarray, missed: np.ndarray) -> float:
 
 def _size(force: np.ndarray) -> float:
     """Return the root mean square of forces (M, 2). The computation does not overflow."""
-    most = float(np.max(np.abs(force)))
-    return most * float(np.sqrt(np.mean((force / most) ** 2))) if most > 0 else 0.0
+    peak = float(np.max(np.abs(force)))
+    return peak * float(np.sqrt(np.mean((force / peak) ** 2))) if peak > 0 else 0.0

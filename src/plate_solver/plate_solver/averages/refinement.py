@@ -157,20 +157,23 @@ def on_cycle(
 
 
 def _best_of(
-    request: Request, correct: Callable[[], tuple[Solution, np.ndarray]], most: int, bound: float
+    request: Request,
+    correct: Callable[[], tuple[Solution, np.ndarray]],
+    max_attempts: int,
+    bound: float,
 ) -> Solution:
     """Call `correct` repeatedly, until the result is good enough or no longer improves. Return the
     best result."""
     best: Solution | None = None
-    least, stale, iterations = np.inf, 0, 0
-    for _ in range(most):
+    min_error, stale, iterations = np.inf, 0, 0
+    for _ in range(max_attempts):
         found, error = correct()
         iterations += found.iterations
         missed = _spill(request, error)
-        stale = 0 if missed < least else stale + 1
-        if best is None or missed < least:
-            best, least = refined(request, found, error, bound), missed
-        if (best.success and least <= bound) or stale == STALE:
+        stale = 0 if missed < min_error else stale + 1
+        if best is None or missed < min_error:
+            best, min_error = refined(request, found, error, bound), missed
+        if (best.success and min_error <= bound) or stale == STALE:
             break
     assert best is not None
     return replace(best, iterations=iterations)

@@ -156,16 +156,16 @@ class Request:
 
     def _refuse(self) -> None:
         """Raise an error that names the first invalid value and the allowed range."""
-        greatest = {"position": FARTHEST_M, "force": np.inf, "velocity": FASTEST_MPS}
-        for name, most in greatest.items():
+        limits = {"position": FARTHEST_M, "force": np.inf, "velocity": FASTEST_MPS}
+        for name, limit in limits.items():
             array = getattr(self, name)
             size = np.abs(array)
             worst = float(size.max())
             if not worst < np.inf:
                 raise PlateError(f"{name} has values that are not finite")
-            if worst > most:
+            if worst > limit:
                 value = array.flat[np.argmax(size)]
-                raise PlateError(f"{name} has value {value:g}, allowed: {-most:g} to {most:g}")
+                raise PlateError(f"{name} has value {value:g}, allowed: {-limit:g} to {limit:g}")
         if np.isinf(self.curl).any():
             raise PlateError(
                 "curl has infinite values, allowed: finite numbers, or NaN for any curl"

@@ -172,15 +172,15 @@ class SinusoidSolver(ForceSolver, SinusoidCycles):
         basis, options = sinusoid_basis(*key), self.options
         family = SinusoidFamily(basis, self._limits)
         fine = SinusoidFamily(sinusoid_basis(*key, steps=CURL_SAMPLES), self._limits)
-        tolerance, most = options.tolerance, options.iterations
+        tolerance, max_iterations = options.tolerance, options.iterations
 
         def attempt(start: np.ndarray, _: int) -> tuple[Fit, float, int, bool]:
-            found = fit_curl(request, family, start, tolerance / 10, most)
+            found = fit_curl(request, family, start, tolerance / 10, max_iterations)
             steps, good = found.iterations, np.max(np.abs(found.error)) <= tolerance
             # coarse samples can miss times at which the slip nearly vanishes: repeat with fine
             # samples
             if good:
-                found = fit_curl(request, fine, found.parameters, tolerance / 10, most)
+                found = fit_curl(request, fine, found.parameters, tolerance / 10, max_iterations)
                 steps, good = steps + found.iterations, np.max(np.abs(found.error)) <= tolerance
             return found, found.cost, steps, bool(good)
 
@@ -191,7 +191,7 @@ class SinusoidSolver(ForceSolver, SinusoidCycles):
         start = self._warm.get(key)
         begin = family.random(self._rng) if start is None else start
         best, iterations = basin_hopping(propose, attempt, begin, 1 + options.restarts)
-        best = fit_curl(request, fine, best.parameters, tolerance / 10, most)
+        best = fit_curl(request, fine, best.parameters, tolerance / 10, max_iterations)
         self._warm[key] = best.parameters
         cycle = within_limits(family.cycle(best.parameters), self._full)
         t = (np.arange(CURL_SAMPLES) + 0.5) / CURL_SAMPLES * cycle.period

@@ -79,16 +79,16 @@ def is_out_of_reach(position: np.ndarray, force: np.ndarray, number: int, arm_m:
         return False
     if number < 2 or _apart(position, force):
         return True
-    most = (number - 1) / (number + 1)
+    factor = (number - 1) / (number + 1)
     cells = _cells()
     vectors = _vectors(_circles(cells), position, arm_m)
     found: list[np.ndarray] = []
     separating = requested / np.linalg.norm(requested)
     for _ in range(ROUNDS):
         bound, three = _best(vectors @ separating)
-        if separating @ requested > most * bound:
-            return _proves(cells, position, arm_m, separating, separating @ requested / most)
-        force = most * sum(vectors[three[0], k] for k in three[1:])
+        if separating @ requested > factor * bound:
+            return _proves(cells, position, arm_m, separating, separating @ requested / factor)
+        force = factor * sum(vectors[three[0], k] for k in three[1:])
         found += [force, -force]
         # Compute the weighted mean of the vectors in `found` that is nearest to the request. The
         # additional zero vector permits weights with a sum below 1.
@@ -120,8 +120,8 @@ def _cells() -> np.ndarray:
     for band in range(bands):
         low, high = pi / 2 * band / bands, pi / 2 * (band + 1) / bands
         count = int(np.ceil(2 * pi * np.sin(high) / SPACING))
-        turn = 2 * pi * np.arange(count + 1) / count
-        cells += [(low, high, turn[i], turn[i + 1]) for i in range(count)]
+        angle = 2 * pi * np.arange(count + 1) / count
+        cells += [(low, high, angle[i], angle[i + 1]) for i in range(count)]
     return np.array(cells)
 
 

@@ -10,7 +10,7 @@ from .stick_slip import PREDICTION_STEP, after, end_state, end_state_gradient, f
 from .turning import (
     end_turning,
     end_turning_gradient,
-    room_spread,
+    home_spread,
     turning_blocks_of,
 )
 
@@ -24,6 +24,6 @@ __all__ = [
     "end_turning",
     "end_turning_gradient",
     "finely_sampled",
-    "room_spread",
+    "home_spread",
     "turning_blocks_of",
 ]

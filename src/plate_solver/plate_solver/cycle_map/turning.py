@@ -29,7 +29,7 @@ TURNING_STATE: int = _kernels.TURNING_STATE
 the rows."""
 
 
-def room_spread(spread: np.ndarray, angle: np.ndarray) -> np.ndarray:
+def home_spread(spread: np.ndarray, angle: np.ndarray) -> np.ndarray:
     """Convert second moments of parts to plate_home. Return the moments xx, xy, yy (M, 3) [m2].
 
     `spread` (M, 2, 2) [m2] contains the second moments in the frames of the parts. `angle` (M,)

@@ -39,12 +39,12 @@ def basin_hopping(
         Whether the second start is a new start instead of a perturbation. After that, both kinds
         alternate.
     """
-    best, least, steps, enough = attempt(begin, 0)
+    best, min_cost, steps, enough = attempt(begin, 0)
     for number in range(1, tries):
         if enough:
             break
         result, cost, more, enough = attempt(propose(number, best, fresh), number)
         steps, fresh = steps + more, not fresh
-        if enough or cost < least:
-            best, least = result, cost
+        if enough or cost < min_cost:
+            best, min_cost = result, cost
     return best, steps

@@ -6,16 +6,16 @@ it meets.
 """
 
 from .ends import Ends, end_errors
-from .goal import Family, Goal, Turns, fit_goal, goal_solution
+from .goal import Family, Goal, PartRotations, fit_goal, goal_solution
 from .solution import Solution, Status
 
 __all__ = [
     "Ends",
     "Family",
     "Goal",
+    "PartRotations",
     "Solution",
     "Status",
-    "Turns",
     "end_errors",
     "fit_goal",
     "goal_solution",

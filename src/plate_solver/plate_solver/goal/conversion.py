@@ -15,7 +15,7 @@ import numpy as np
 from plate_core import AngleTargets, CycleRequest, Forces, PlateError, Rig, Targets
 
 from ..start import StartState, contact_spread, part_types
-from .goal import Goal, Turns
+from .goal import Goal, PartRotations
 
 MAX_REQUEST = 1e9
 """Maximum absolute value in a request, in SI units. The value is larger than all practical values,
@@ -121,10 +121,13 @@ def _goal_of_targets(
     turns = None
     if start.spin is not None and targets.angles is not None:
         _check_targets(ids, "target angle", targets.angles)
-        angle, spread = request.parts.angle, contact_spread(types, request.parts.angle + start.turn)
-        low = targets.angles.low - angle - start.turn
-        high = targets.angles.high - angle - start.turn
-        turns = Turns(start.spin, spread, low, high, targets.angles.weight)
+        angle, spread = (
+            request.parts.angle,
+            contact_spread(types, request.parts.angle + start.rotation),
+        )
+        low = targets.angles.low - angle - start.rotation
+        high = targets.angles.high - angle - start.rotation
+        turns = PartRotations(start.spin, spread, low, high, targets.angles.weight)
     return Goal(
         position=start.position,
         velocity=start.velocity,
@@ -175,9 +178,9 @@ def _goal_of_forces(
     if start.spin is not None:
         weight = np.where(forces.torque != 0, [t.reach_m for t in types], 0.0)
         inertia = np.array([(t.mass_kg or 0.0) * np.trace(t.spread_m2) for t in types])
-        turn = (parts.spin + forces.period / inertia * forces.torque) * period
-        spread = contact_spread(types, parts.angle + start.turn)
-        turns = Turns(start.spin, spread, turn, turn, weight)
+        rotation = (parts.spin + forces.period / inertia * forces.torque) * period
+        spread = contact_spread(types, parts.angle + start.rotation)
+        turns = PartRotations(start.spin, spread, rotation, rotation, weight)
     return Goal(
         position=start.position,
         velocity=start.velocity,
@@ -201,9 +204,9 @@ def _to_go(rig: Rig, request: CycleRequest, to: Targets) -> np.ndarray:
     if to.angles is None:
         return np.asarray(distance)
     angle = request.parts.angle
-    turn = np.maximum(np.maximum(to.angles.low - angle, angle - to.angles.high), 0.0)
+    rotation = np.maximum(np.maximum(to.angles.low - angle, angle - to.angles.high), 0.0)
     reach = np.array([kind.reach_m for kind in part_types(rig, request.parts.ids)])
-    return np.maximum(distance, np.where(to.angles.weight > 0, reach * turn, 0.0))
+    return np.maximum(distance, np.where(to.angles.weight > 0, reach * rotation, 0.0))
 
 
 def _check_targets(ids: tuple[str, ...], name: str, targets: Targets | AngleTargets) -> None:

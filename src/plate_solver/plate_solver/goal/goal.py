@@ -35,7 +35,7 @@ ignored [m]. Within one cycle, two parts approach each other by less than this v
 
 
 @dataclass(frozen=True)
-class Turns:
+class PartRotations:
     """Requested rotations of M parts over one cycle.
 
     Attributes
@@ -67,7 +67,7 @@ class Turns:
         """Number of parts with a requested rotation."""
         return int(np.count_nonzero(self.weight))
 
-    def shifted(self, shift: np.ndarray | float) -> Turns:
+    def shifted(self, shift: np.ndarray | float) -> PartRotations:
         """Return a copy in which all intervals are shifted by `shift` (M,) [rad]."""
         return replace(self, low=self.low + shift, high=self.high + shift)
 
@@ -86,7 +86,7 @@ class Goal:
         Tolerances of the displacements [m]. Errors within +-tolerance count as 0.
     friction_accel : (M,)
         mu g of each part [m/s2]. A scalar applies to all parts.
-    turns : Turns, optional
+    turns : PartRotations, optional
         Requested rotations. If None, the parts are modelled as points.
     lasting : bool
         Whether later cycles can complete the goal. For such a goal, every motion counts as a
@@ -119,7 +119,7 @@ class Goal:
     displacement: np.ndarray
     tolerance: np.ndarray
     friction_accel: np.ndarray
-    turns: Turns | None = None
+    turns: PartRotations | None = None
     lasting: bool = False
     weight: np.ndarray | float = 1.0
     edge: np.ndarray | float = np.inf
@@ -205,18 +205,18 @@ class Goal:
             turns = turns.shifted((fraction - 1) * turns.middle)
         return replace(self, displacement=fraction * self.displacement, turns=turns)
 
-    def downhill(self, most: float) -> np.ndarray:
+    def downhill(self, length: float) -> np.ndarray:
         """Return displacements of the parts (M, 2) [m] in the direction in which the sum of squared
         errors decreases most.
 
-        The longest displacement has the length `most` [m].
+        The longest displacement has the length `length` [m].
         """
         place = (self.position + self.coast * self.velocity).T.ravel()
         if self.turns is not None:
             place = np.append(place, self.coast * self.turns.spin)
         error, slope = end_errors(place, self.ends)
-        way = (error @ slope)[: self.position.size].reshape(2, -1).T
-        return np.asarray(way * (most / max(float(np.max(np.hypot(*way.T))), 1e-12)))
+        direction = (error @ slope)[: self.position.size].reshape(2, -1).T
+        return np.asarray(direction * (length / max(float(np.max(np.hypot(*direction.T))), 1e-12)))
 
     def left(self, end: np.ndarray) -> np.ndarray:
         """Return the signed distances (M, 2) [m] from end positions to the nearest points of the
@@ -225,13 +225,13 @@ class Goal:
         beyond = np.sign(miss) * np.maximum(np.abs(miss) - self.tolerance, 0.0)
         return np.where(np.asarray(self.weight) > 0, beyond, 0.0)
 
-    def left_to_turn(self, end: np.ndarray) -> np.ndarray:
+    def angle_errors(self, end: np.ndarray) -> np.ndarray:
         """Return the signed errors (Q,) [rad] of the Q requested rotations. `end` contains the
         coordinates at the end of the cycle."""
         if self.turns is None:
             return np.zeros(0)
-        turns, turn = self.turns, end[self.position.size :]
-        return (np.clip(turn, turns.low, turns.high) - turn)[turns.weight > 0]
+        turns, rotation = self.turns, end[self.position.size :]
+        return (np.clip(rotation, turns.low, turns.high) - rotation)[turns.weight > 0]
 
     def shifted(self, shift: np.ndarray) -> Goal:
         """Return a copy of the goal whose displacements and rotations are increased by `shift` (C,)
@@ -275,11 +275,11 @@ class Goal:
         if self.turns is None:
             place, velocity = end_state(self.position, self.velocity, *moved)
             return (place + self.coast * velocity).T.ravel()
-        place, velocity, turn, spin = end_turning(
+        place, velocity, rotation, spin = end_turning(
             self.position, self.velocity, self.turns.spin, self.turns.spread, *moved
         )
         place += self.coast * velocity
-        return np.concatenate([place.T.ravel(), turn + self.coast * spin])
+        return np.concatenate([place.T.ravel(), rotation + self.coast * spin])
 
     def end_slopes(
         self, pose: np.ndarray, twist: np.ndarray, dt: np.ndarray
@@ -360,8 +360,8 @@ def goal_solution(
     if goal.lasting:
         message = f"{1e3 * float(np.sqrt(np.mean(left**2))):.3g} mm to go"
         if goal.turns is not None and goal.turns.count:
-            turn = float(np.sqrt(np.mean(goal.left_to_turn(end) ** 2)))
-            message += f", {np.degrees(turn):.2g} deg to rotate"
+            rotation = float(np.sqrt(np.mean(goal.angle_errors(end) ** 2)))
+            message += f", {np.degrees(rotation):.2g} deg to rotate"
     else:
         message = f"displacement error {1e3 * float(np.max(np.abs(error))):.3g} mm"
     return Solution(

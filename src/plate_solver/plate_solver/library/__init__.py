@@ -13,7 +13,7 @@ from .library import (
     rotation_matrix,
     solve_weights,
 )
-from .simplex import TimeFractions, least_time
+from .simplex import TimeFractions, min_time
 
 __all__ = [
     "CURL_LENGTH_M",
@@ -22,7 +22,7 @@ __all__ = [
     "TimeFractions",
     "condition_number",
     "grid",
-    "least_time",
+    "min_time",
     "rotation_matrix",
     "solve_weights",
 ]

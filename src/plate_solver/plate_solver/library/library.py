@@ -23,7 +23,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .simplex import least_time
+from .simplex import min_time
 
 COLUMNS, ROWS = 30, 16
 """Numbers of centres of rotation along x and y. If both numbers were doubled, the maximum force of
@@ -119,7 +119,7 @@ class Library:
         if not np.any(right_side):
             return float("inf")
         dear = np.full(len(rows), OUT_OF_REACH)
-        return 1 / least_time(rows, right_side, np.ones(rows.shape[1]), dear, dear).cost
+        return 1 / min_time(rows, right_side, np.ones(rows.shape[1]), dear, dear).cost
 
 
 def rotation_matrix(position: np.ndarray, centre: np.ndarray) -> np.ndarray:

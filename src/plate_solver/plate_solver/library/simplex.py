@@ -60,7 +60,7 @@ class TimeFractions:
     optimal: bool
 
 
-def least_time(
+def min_time(
     matrix: np.ndarray,
     right_side: np.ndarray,
     cost: np.ndarray,

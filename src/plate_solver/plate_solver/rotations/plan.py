@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..library import CURL_LENGTH_M, Library, TimeFractions, least_time
+from ..library import CURL_LENGTH_M, Library, TimeFractions, min_time
 
 SPEEDS = (1.0, 0.5)
 """Speeds of a rotation in the linear programme, in units of the usual speed. The averaged friction
@@ -96,11 +96,11 @@ def plan_rotations(
     rows = np.vstack([library.forces(position), library.curls(position)[with_curl] * CURL_LENGTH_M])
     twist = np.vstack([speed * library.twist for speed in SPEEDS])
     matrix = np.vstack([np.tile(rows, len(SPEEDS)), twist.T])
-    turn = np.zeros(0) if curl is None else curl[with_curl] * CURL_LENGTH_M
-    right_side = np.concatenate([force.T.ravel(), turn, np.zeros(3)])
+    curl_m = np.zeros(0) if curl is None else curl[with_curl] * CURL_LENGTH_M
+    right_side = np.concatenate([force.T.ravel(), curl_m, np.zeros(3)])
     dear = np.append(np.full(len(rows), price), np.full(3, CLOSURE_PRICE))
     cost = np.ones(len(library.twist)) if cost is None else cost
-    times = least_time(matrix, right_side, np.tile(cost, len(SPEEDS)), dear, dear, start)
+    times = min_time(matrix, right_side, np.tile(cost, len(SPEEDS)), dear, dear, start)
     used = np.flatnonzero(np.abs(times.weights) > 1e-9)
     if not len(used):  # the request is zero: use one rotation of duration 0
         used = np.zeros(1, dtype=int)

@@ -152,8 +152,8 @@ class RotationCycles(MotionSolver):
         def attempt(start: Start | Try, n: int) -> tuple[Try, float, int, bool]:
             if isinstance(start, Try):
                 return start, start.fit.cost, 0, True
-            most = options.iterations if warm and n == 0 else 2 * options.iterations
-            found = fit_goal(goal, *start, tolerance, most)
+            max_iterations = options.iterations if warm and n == 0 else 2 * options.iterations
+            found = fit_goal(goal, *start, tolerance, max_iterations)
             return Try(start.family, found), found.cost, found.iterations, found.cost <= enough
 
         def propose(number: int, near: Try, fresh: bool) -> Start | Try:

@@ -223,10 +223,10 @@ def sinusoid_basis(
         if free_end:  # the last TAIL_S seconds of the motion are a tail, reversed in time
             before = (t < period)[:, None]
             sign, back = np.where(before, [1.0, -1.0, 1.0], 1.0), np.where(before, -1.0, 1.0)
-            way = settling(np.abs(period - t))
+            settled = settling(np.abs(period - t))
             matrices = [
-                np.hstack([matrix, END_UNITS * sign * turn * own])
-                for matrix, own, turn in zip(matrices, way, (1.0, back, 1.0), strict=True)
+                np.hstack([matrix, END_UNITS * sign * factor * own])
+                for matrix, own, factor in zip(matrices, settled, (1.0, back, 1.0), strict=True)
             ]
         pose, twist, accel = (np.ascontiguousarray(matrix) for matrix in matrices)
         return pose, twist, accel
@@ -259,16 +259,16 @@ def repeated(one: SinusoidBasis, plays: int) -> SinusoidBasis:
     end, more = np.stack([knots[-1] for knots in one.knots]), plays - 1
     inner = len(one.checks[0]) - TAIL_CHECKS * one.free_end
 
-    def again(own: Matrices, way: Matrices, inner: int) -> Matrices:
+    def again(own: Matrices, settled: Matrices, inner: int) -> Matrices:
         first, second, third = (
             np.vstack([a[:inner], np.tile((a + b @ end)[:inner], (more, 1)), a[inner:]])
-            for a, b in zip(own, way, strict=True)
+            for a, b in zip(own, settled, strict=True)
         )
         return first, second, third
 
-    def once(way: Matrices, inner: int) -> Matrices:
+    def once(matrices: Matrices, inner: int) -> Matrices:
         first, second, third = (
-            np.pad(a[:inner], ((0, more * inner + len(a) - inner), (0, 0))) for a in way
+            np.pad(a[:inner], ((0, more * inner + len(a) - inner), (0, 0))) for a in matrices
         )
         return first, second, third
 

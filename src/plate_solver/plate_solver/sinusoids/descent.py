@@ -63,7 +63,7 @@ class Problem(NamedTuple):
     ends : Ends
     coast : float
         Time of the extrapolation, as in `Goal` [s].
-    most : float
+    max_use : float
         Largest permitted utilisation of any rig limit during the search (1: exactly at the limit).
     """
 
@@ -72,10 +72,10 @@ class Problem(NamedTuple):
     start: np.ndarray
     ends: Ends
     coast: float
-    most: float
+    max_use: float
 
     @classmethod
-    def of(cls, goal: Goal, motions: Motions, most: float) -> Problem:
+    def of(cls, goal: Goal, motions: Motions, max_use: float) -> Problem:
         """Convert a goal to a problem."""
         basis = motions.basis
         state = goal.position, goal.velocity, goal.friction_accel, basis.dt
@@ -86,7 +86,7 @@ class Problem(NamedTuple):
         plate = np.zeros((3, 3)) if goal.plate is None else goal.plate
         moved = (matrix @ plate for matrix in (*basis.settling[:2], *basis.settling_checks))
         settling = _kernels.settling_of(*moved)
-        return cls(motions, settling, start, goal.ends, goal.coast, most)
+        return cls(motions, settling, start, goal.ends, goal.coast, max_use)
 
 
 def descend(problem: Problem, theta: np.ndarray, tolerance: float, iterations: int) -> Fit:
@@ -95,9 +95,9 @@ def descend(problem: Problem, theta: np.ndarray, tolerance: float, iterations: i
     The result contains the errors of the final positions and rotations, followed by the limit
     violations.
     """
-    motions, settling, start, ends, coast, most = problem
+    motions, settling, start, ends, coast, max_use = problem
     return Fit(
         *_kernels.descend(
-            motions.kept, settling, start, ends, coast, most, theta, float(tolerance), iterations
+            motions.kept, settling, start, ends, coast, max_use, theta, float(tolerance), iterations
         )
     )

@@ -30,10 +30,10 @@ class LimitedSinusoids(SinusoidFamily):
     """
 
     def __init__(
-        self, basis: SinusoidBasis, limits: Limits, most: float, plate: np.ndarray | None = None
+        self, basis: SinusoidBasis, limits: Limits, max_use: float, plate: np.ndarray | None = None
     ) -> None:
         super().__init__(basis, limits)
-        self._most = most
+        self._max_use = max_use
         self.plate = np.zeros((3, 3)) if plate is None else plate
 
     def samples(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -49,7 +49,7 @@ class LimitedSinusoids(SinusoidFamily):
 
     def admissible(self, parameters: np.ndarray) -> np.ndarray:
         """Scale the parameters down if the utilisation of a rig limit exceeds `most`."""
-        return parameters * min(1.0, self._most / max(self.use(parameters), 1e-300))
+        return parameters * min(1.0, self._max_use / max(self.use(parameters), 1e-300))
 
     def nearest(self, twist: np.ndarray) -> np.ndarray:
         """Return the parameters whose twists are closest to the sampled twists (n, 3), by least

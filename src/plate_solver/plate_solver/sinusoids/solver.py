@@ -122,7 +122,7 @@ class SinusoidCycles(MotionSolver):
     def _steering_key(self, constraints: int, lasting: bool, free_end: bool) -> tuple[int, float]:
         """Return the number of harmonics and the period [s] of the cycles of `steer`."""
         if lasting and free_end and not self.options.harmonics:
-            return next((n, s) for most, n, s in GOING_ON if self._gamma <= most)
+            return next((n, s) for max_gamma, n, s in GOING_ON if self._gamma <= max_gamma)
         return self._rest_key(constraints, lasting)
 
     def _rest_key(self, constraints: int, lasting: bool = False) -> tuple[int, float]:
@@ -132,5 +132,5 @@ class SinusoidCycles(MotionSolver):
             number, period = max(number, 2), max(HARMONIC_S * number, 0.1)
         else:
             table = LASTING_CYCLES if lasting else EXACT_CYCLES
-            number, period = next((n, s) for most, n, s in table if constraints <= most)
+            number, period = next((n, s) for max_count, n, s in table if constraints <= max_count)
         return number, self.options.period or period

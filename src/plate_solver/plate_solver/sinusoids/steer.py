@@ -163,8 +163,8 @@ class SinusoidSteering:
         grid, plays = ROUGH if goal.lasting else EXACT, PLAYS if goal.free_end else 1
         key = number, period, grid, goal.free_end
 
-        def family_of(most: float) -> LimitedSinusoids:
-            return limited_sinusoids(*key[:2], self._limits, most, *key[2:], goal.plate, plays)
+        def family_of(max_use: float) -> LimitedSinusoids:
+            return limited_sinusoids(*key[:2], self._limits, max_use, *key[2:], goal.plate, plays)
 
         family = family_of(BEYOND)
         if key not in self._motions:
@@ -186,8 +186,11 @@ class SinusoidSteering:
             return descend(problem, start, tolerance, self._iterations)
 
         begin = family.random(rng) if known is None else family.nearest(known)
-        enough, most = good_enough**2 * goal.requested_count, -(-self._restarts // plays) + fresh
-        best, iterations = self._search(improved, start, begin, most, enough, until)
+        enough, max_starts = (
+            good_enough**2 * goal.requested_count,
+            -(-self._restarts // plays) + fresh,
+        )
+        best, iterations = self._search(improved, start, begin, max_starts, enough, until)
         began = self._clock()
         last = self._within(goal, motions, best.parameters, tolerance)
         strict = family_of(1.0)
@@ -212,7 +215,7 @@ class SinusoidSteering:
         improved: Callable[[np.ndarray], Fit],
         start: Callable[[int, Fit], np.ndarray],
         begin: np.ndarray,
-        most: int,
+        max_starts: int,
         enough: float,
         until: float,
     ) -> tuple[Fit, int]:
@@ -226,17 +229,17 @@ class SinusoidSteering:
         def in_time(start: np.ndarray) -> Fit | None:
             return None if self._clock() > last else improved(start)
 
-        while best.cost > enough and (running or index < most):
-            while index < most and len(running) < AT_ONCE:
+        while best.cost > enough and (running or index < max_starts):
+            while index < max_starts and len(running) < AT_ONCE:
                 work = partial(in_time, start(index, best))
                 running.append(self._threads.submit(work).result if self._threads else work)
                 index += 1
             found = running.popleft()()
             if found is None:
-                # The deadline has passed. Setting `most` to 0 ends the search. `cut_short`
+                # The deadline has passed. Setting `max_starts` to 0 ends the search. `cut_short`
                 # increases at most once per search.
-                self.cut_short += most > 0
-                most = 0
+                self.cut_short += max_starts > 0
+                max_starts = 0
             else:
                 iterations += found.iterations
                 best = found if found.cost < best.cost else best
@@ -248,7 +251,7 @@ class SinusoidSteering:
 
 
 def limited_sinusoids(
-    number: int, period: float, limits: Limits, most: float, grid: Grid = EXACT,
+    number: int, period: float, limits: Limits, max_use: float, grid: Grid = EXACT,
     free_end: bool = False, plate: np.ndarray | None = None, plays: int = 1,
 ) -> LimitedSinusoids:  # fmt: skip
     """Return the family of motions that start in the plate state (3, 3). Default: at rest.
@@ -256,7 +259,7 @@ def limited_sinusoids(
     The motions end at rest or, if `free_end`, in any state. `grid` is `EXACT`, `ROUGH` or `FINE`.
     The samples cover `plays` plays.
     """
-    longest, least, knots = grid
-    count = max(least * max(number, 4), round(period / longest))
+    max_step, min_checks, knots = grid
+    count = max(min_checks * max(number, 4), round(period / max_step))
     basis = sinusoid_basis(number, period, True, -(-count // BIN) * BIN, free_end, knots, plays)
-    return LimitedSinusoids(basis, limits, most, plate)
+    return LimitedSinusoids(basis, limits, max_use, plate)
