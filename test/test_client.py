@@ -83,6 +83,6 @@ def check_a_planner_that_dies(graph, monkeypatch):
     graph.processes.signal("planner", signal.SIGKILL)
     with pytest.raises(PlateError, match="the planner has sent no message for 2 s"):
         plate.wait(task, 30.0)
-    monkeypatch.setattr("plate_client.ros.client.FOUND_S", 1.0)  # it has ended
+    monkeypatch.setattr("plate_client.ros.client.DISCOVERY_S", 1.0)  # it has ended
     with pytest.raises(GraphError, match=r"no action sort_parts|has not answered the goal"):
         observer.start(SORT_4, 0.0)

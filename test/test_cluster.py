@@ -99,7 +99,7 @@ def _told():
 def pool(processes, messages):
     """A cluster of two workers."""
     processes.workers = [processes.worker(), processes.worker()]
-    with Cluster(processes.address, tell=messages.append) as pool:
+    with Cluster(processes.address, report=messages.append) as pool:
         yield pool
 
 
@@ -186,7 +186,7 @@ def test_workers_without_the_packages_are_refused(processes, messages):
     with contextlib.ExitStack() as stack:
         while "is refused" not in "".join(messages):  # until it has joined
             try:
-                stack.enter_context(Cluster(processes.address, tell=messages.append))
+                stack.enter_context(Cluster(processes.address, report=messages.append))
             except PlateError as problem:
                 assert "all 1 workers are refused" in str(problem)  # noqa: PT017
             stack.close()
@@ -201,7 +201,7 @@ def test_what_is_canceled_ends_on_the_workers(pool, processes, messages):
     pool.shutdown()
     assert not wait(endless, WAIT_S).not_done
     assert all(run.cancelled() for run in endless)
-    with Cluster(processes.address, tell=messages.append) as again:
+    with Cluster(processes.address, report=messages.append) as again:
         assert len({run.result(WAIT_S)[1] for run in submitted(again, 8)}) == 2
 
 

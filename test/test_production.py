@@ -44,7 +44,7 @@ def acts(robot, until, answer_at, step=0.05):
             if act is None:
                 break
             found.append((act, due))
-            asked = asked or act is Act.ASK
+            asked = asked or act is Act.REQUEST
         if asked and now >= answer_at - 1e-9:
             robot, asked = robot.after_reply(PLACE, now), False
     return robot, found
@@ -54,7 +54,7 @@ def test_a_robot_that_is_answered_at_once_keeps_its_cycle():
     robot, found = acts(Robot(2.0, 0.0), 4.01, 0.0)
     times = {act: [due for a, due in found if a is act] for act in Act}
     assert times[Act.LEAVE] == pytest.approx([0.3, 2.3])
-    assert times[Act.ASK] == pytest.approx([1.2, 3.2])
+    assert times[Act.REQUEST] == pytest.approx([1.2, 3.2])
     assert times[Act.COME] == pytest.approx([1.7, 3.7])
     assert times[Act.GRIP] == pytest.approx([2.0, 4.0])
     assert robot.since == pytest.approx(4.0)
@@ -62,7 +62,7 @@ def test_a_robot_that_is_answered_at_once_keeps_its_cycle():
 
 def test_a_robot_waits_outside_the_view_for_its_answer():
     _, found = acts(Robot(2.0, 0.0), 2.9, 2.5)
-    assert [act for act, _ in found] == [Act.LEAVE, Act.ASK, Act.COME, Act.GRIP]
+    assert [act for act, _ in found] == [Act.LEAVE, Act.REQUEST, Act.COME, Act.GRIP]
     assert [due for _, due in found[2:]] == pytest.approx([2.5, 2.8])
     before = Robot(2.0, 0.0, Act.COME)
     assert before.waited(1.6) == 0
@@ -71,7 +71,7 @@ def test_a_robot_waits_outside_the_view_for_its_answer():
 
 
 def test_a_robot_that_is_refused_asks_again_later():
-    robot, _ = Robot(2.0, 0.0, Act.ASK).step(1.2)
+    robot, _ = Robot(2.0, 0.0, Act.REQUEST).step(1.2)
     assert robot.due == math.inf
     robot = robot.after_reply(None, 1.5)
     assert robot.due == pytest.approx(1.7)

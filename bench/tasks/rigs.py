@@ -86,7 +86,7 @@ def judged(rig: Rig, scenario: str) -> dict[str, Any]:
     return {
         "feasible": "likely" if verdict.likely else "not likely",
         "feasible_s": verdict.time_s if np.isfinite(verdict.time_s) else None,
-        "binds": verdict.share.binds,
+        "binds": verdict.limit_use.binds,
     }
 
 

@@ -221,7 +221,7 @@ class Shaker:
         while True:
             before = self.robot
             self.robot, act = before.step(self.tally.time_s)
-            if act is Act.ASK:
+            if act is Act.REQUEST:
                 self._asked = True
             if self._asked and self.listed:
                 self.robot = self.robot.after_reply(self.listed[0], self.tally.time_s)

@@ -134,12 +134,12 @@ class Robot:
         GraphError
             If the feeder refuses a command. The message contains the feeder's reply.
         """
-        arm, name = Arm(self.cycle_s, self._now(), Act.ASK), ""
+        arm, name = Arm(self.cycle_s, self._now(), Act.REQUEST), ""
         while picks > 0 or arm.next is Act.LEAVE:
             self.observer.until(lambda: False, arm.due - self._now())
             before = arm
             arm, act = before.step(self._now())
-            if act is Act.ASK:
+            if act is Act.REQUEST:
                 reply = dict(VALUE.findall(self._done("get_part")))
                 x, y, name = 1e-3 * float(reply["x"]), 1e-3 * float(reply["y"]), reply["id"]
                 arm = arm.after_reply((x, y, math.radians(float(reply["angle"]))), self._now())

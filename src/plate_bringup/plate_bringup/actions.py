@@ -104,7 +104,7 @@ def arguments_of(hardware: bool) -> dict[str, str]:
     return (HARDWARE if hardware else SIMULATED) | COMMON
 
 
-def check_words(hardware: bool, words: Sequence[str], file: str) -> None:
+def check_arguments(hardware: bool, arguments: Sequence[str], file: str) -> None:
     """Check the arguments of the command line, if the command line starts this launch file
     directly.
 
@@ -114,7 +114,7 @@ def check_words(hardware: bool, words: Sequence[str], file: str) -> None:
     Parameters
     ----------
     hardware : bool
-    words : sequence of str
+    arguments : sequence of str
         Arguments of the command line.
     file : str
         Path of the launch file.
@@ -124,10 +124,10 @@ def check_words(hardware: bool, words: Sequence[str], file: str) -> None:
     GraphError
         If an argument is unknown. The message contains its name and the allowed names.
     """
-    if not any(_names(file, before, word) for before, word in pairwise(["", *words])):
+    if not any(_names(file, before, word) for before, word in pairwise(["", *arguments])):
         return
     known, other = arguments_of(hardware), arguments_of(not hardware)
-    for name in (word.partition(":=")[0] for word in words if ":=" in word):
+    for name in (word.partition(":=")[0] for word in arguments if ":=" in word):
         if name not in known:
             files = ("hardware.launch.py", "closed_loop.launch.py")
             hint = (
@@ -169,7 +169,7 @@ def start(hardware: bool, file: str, context: Any) -> list[Any]:
         If an argument is unknown, or if the parameter file does not exist. Without this check, ROS
         would ignore a missing parameter file and start the nodes without its parameters.
     """
-    check_words(hardware, sys.argv, file)
+    check_arguments(hardware, sys.argv, file)
     known = arguments_of(hardware)
     given = {n: text for n, text in context.launch_configurations.items() if text and n in known}
     values = {name: read(given[name]) for name, read in OPTIONS.items() if name in given}
@@ -202,15 +202,15 @@ def start(hardware: bool, file: str, context: Any) -> list[Any]:
         actions += [LogInfo(msg=f"this rig is not fully measured. {text}") for text in facts]
     views = {node.name for node in load_graph() if node.view}
     for name, program in programs(options, given, space).items():
-        last_words = [""]
+        last_line = [""]
         process = Node(
             namespace=given.get("namespace", ""),
             remappings=[(topic, other) for topic, other in topics.items() if other],
             output="screen",
-            on_exit=None if name in views else partial(_end, name, last_words),
+            on_exit=None if name in views else partial(_end, name, last_line),
             **program | {"parameters": [*own, program["parameters"], *waiting]},
         )
-        listen = OnProcessIO(target_action=process, on_stderr=partial(_remember, last_words))
+        listen = OnProcessIO(target_action=process, on_stderr=partial(_remember, last_line))
         actions.append(RegisterEventHandler(listen))
         actions.append(process)
     if given.get("record") == "true":
@@ -328,14 +328,14 @@ def programs(
     return {"one_process": program | {"arguments": names, "parameters": file}}
 
 
-def _remember(last_words: list[str], event: Any) -> None:
+def _remember(last_line: list[str], event: Any) -> None:
     lines = event.text.decode(errors="replace").strip().splitlines()
-    last_words[:] = lines[-1:] or last_words
+    last_line[:] = lines[-1:] or last_line
 
 
-def _end(name: str, last_words: list[str], event: Any, context: Any) -> list[Any] | None:
+def _end(name: str, last_line: list[str], event: Any, context: Any) -> list[Any] | None:
     """Shut down all nodes because a node has ended, and log the reason."""
     if context.is_shutdown:
         return None
-    why = f"{name} ended with exit code {event.returncode}: {last_words[0]}"
+    why = f"{name} ended with exit code {event.returncode}: {last_line[0]}"
     return [LogInfo(msg=why), Shutdown(reason=why)]

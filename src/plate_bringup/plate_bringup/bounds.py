@@ -63,14 +63,14 @@ class SpeedBounds(NamedTuple):
     speed: float
 
     @property
-    def least(self) -> float:
+    def minimum(self) -> float:
         """Smallest bound [m/s]."""
         return min(self)
 
     @property
     def binds(self) -> str:
         """Name of the limit that produces the smallest bound."""
-        return self._fields[self.index(self.least)]
+        return self._fields[self.index(self.minimum)]
 
 
 def speed_bounds(rig: Rig, period: float) -> SpeedBounds:
@@ -84,14 +84,14 @@ def speed_bounds(rig: Rig, period: float) -> SpeedBounds:
 
     All bounds are 0 if the plate cannot make a part slide.
     """
-    a, most = rig.friction.accel, shift_accel(rig)
-    net = max(1 - (a / most) ** 2, 0.0)
-    if most <= a:
+    a, max_accel = rig.friction.accel, shift_accel(rig)
+    net = max(1 - (a / max_accel) ** 2, 0.0)
+    if max_accel <= a:
         return SpeedBounds(0.0, 0.0, 0.0)
     d = a * period / 4
     travel = _travel(rig)
-    stroke = d / 2 + np.sqrt(d**2 / 4 + most * rig.limits.stroke_m / travel / 4 * net)
-    return SpeedBounds(most * period / 16 * net, float(stroke), rig.limits.speed / travel)
+    stroke = d / 2 + np.sqrt(d**2 / 4 + max_accel * rig.limits.stroke_m / travel / 4 * net)
+    return SpeedBounds(max_accel * period / 16 * net, float(stroke), rig.limits.speed / travel)
 
 
 def shift_accel(rig: Rig) -> float:
@@ -103,17 +103,17 @@ def shift_accel(rig: Rig) -> float:
     """
     if rig.suspension is not None:
         return float(rig.limits.accel)
-    load = _least(rig.motor_loads[2])
+    load = _min_over_directions(rig.motor_loads[2])
     return float(min(rig.limits.accel, rig.limits.force / load))
 
 
 def _travel(rig: Rig) -> float:
     """Return the largest travel of a motor divided by the travel of the plate, along the most
     favourable line."""
-    return _least(rig.motor_levers)
+    return _min_over_directions(rig.motor_levers)
 
 
-def _least(rows: np.ndarray) -> float:
+def _min_over_directions(rows: np.ndarray) -> float:
     """Return the minimum of max_k |rows[k] . d| over all unit vectors d = (cos a, sin a, 0). `rows`
     (4, 3) has the columns x, y and theta."""
     angle = np.linspace(0, np.pi, 181)

@@ -66,7 +66,7 @@ class Cluster(Executor):
     agent : str
         Name of a module that is not part of the project, such as a user's agent. Each worker must
         have the same files of this module, and the same versions of the libraries that it imports.
-    tell : callable
+    report : callable
         Function that is called with lines of text: the address of the dashboard, and refused
         workers.
     end : callable, optional
@@ -86,10 +86,10 @@ class Cluster(Executor):
         bench: bool = False,
         modules: Sequence[str] = (),
         agent: str = "",
-        tell: Callable[[str], None] = lambda text: print(text, file=sys.stderr, flush=True),
+        report: Callable[[str], None] = lambda text: print(text, file=sys.stderr, flush=True),
         end: Callable[[], object] | None = None,
     ) -> None:
-        self._address, self._tell, self._end = address, tell, end
+        self._address, self._report, self._end = address, report, end
         self._client = _connect(address)
         if bench:
             _make_bench_importable()
@@ -103,11 +103,11 @@ class Cluster(Executor):
         self._calls: dict[Future[Any], tuple[Any, ...]] = {}
         self._sent: dict[Future[Any], Future[Any]] = {}
         self._lost: set[Future[Any]] = set()
-        self._asked: dict[str, str] = {}
+        self._refusals: dict[str, str] = {}
         self._admitted: list[str] = []
         self._ending, self._waits = threading.Event(), False
         served = "dashboard" in self._identity()["services"]
-        tell(f"cluster {address}, " + (self._client.dashboard_link if served else "no dashboard"))
+        report(f"cluster {address}, " + (self._client.dashboard_link if served else "no dashboard"))
         try:
             self._await_workers()
         except BaseException:
@@ -209,7 +209,7 @@ class Cluster(Executor):
                 return
             with suppress(Exception):  # the connection is lost
                 if self._client.status == "running":
-                    self._ask_new()
+                    self._check_new()
                     for result in list(self._lost):
                         self._lost.discard(result)
                         self._send(result)
@@ -223,7 +223,7 @@ class Cluster(Executor):
             If all workers are refused.
         """
         for _ in range(int(FIRST_S / POLL_S)):
-            count = self._ask_new()
+            count = self._check_new()
             if self._admitted:
                 return
             if not count:
@@ -232,21 +232,21 @@ class Cluster(Executor):
                 raise PlateError(f"cluster {self._address}: all {count} workers are refused")
             self._ending.wait(POLL_S)
 
-    def _ask_new(self) -> int:
+    def _check_new(self) -> int:
         """Start the check of each new worker. If all workers are refused or there is no worker,
         report this. Return the number of workers."""
         workers = self._identity()["workers"]
         self._admitted = [name for name, one in workers.items() if self._key in one["resources"]]
-        for name in set(self._asked) - set(workers):
-            self._asked.pop(name, None)
-        for name in set(workers) - set(self._asked) - set(self._admitted):
-            self._asked[name] = ""
-            threading.Thread(target=self._ask, args=(name,), daemon=True).start()
-        if self._waits != (waits := not self._admitted and all(self._asked.values())):
+        for name in set(self._refusals) - set(workers):
+            self._refusals.pop(name, None)
+        for name in set(workers) - set(self._refusals) - set(self._admitted):
+            self._refusals[name] = ""
+            threading.Thread(target=self._check, args=(name,), daemon=True).start()
+        if self._waits != (waits := not self._admitted and all(self._refusals.values())):
             self._waits = waits
             if waits:
                 refused = f"; all {len(workers)} are refused" if workers else ""
-                self._tell(f"waiting for workers{refused}")
+                self._report(f"waiting for workers{refused}")
         return len(workers)
 
     def _identity(self) -> Any:
@@ -255,7 +255,7 @@ class Cluster(Executor):
         result."""
         return self._client.sync(self._client.scheduler.identity, n_workers=-1)
 
-    def _ask(self, name: str) -> None:
+    def _check(self, name: str) -> None:
         """Compare a worker with this process, and then accept or refuse it."""
         try:
             call = (_admit, self._key, *self._terms)
@@ -263,13 +263,13 @@ class Cluster(Executor):
         except Exception as problem:  # the worker or the scheduler is lost
             found = OSError(problem)
         if isinstance(found, OSError):
-            self._asked.pop(name, None)
+            self._refusals.pop(name, None)
             return
         if isinstance(found, BaseException):
             found = [_text(found)]
         if found:
-            self._asked[name] = "; ".join(found)
-            self._tell(f"worker {name} is refused: {self._asked[name]}")
+            self._refusals[name] = "; ".join(found)
+            self._report(f"worker {name} is refused: {self._refusals[name]}")
 
 
 def _connect(address: str) -> Any:
@@ -287,7 +287,7 @@ def _connect(address: str) -> Any:
             f"cluster is {address!r}, but Dask is not installed: {INSTALL}"
         ) from problem
     try:
-        kind, there = asyncio.run(asyncio.wait_for(_ask_server(address), CONNECT_S))
+        kind, there = asyncio.run(asyncio.wait_for(_query_server(address), CONNECT_S))
     except Exception as problem:
         raise PlateError(
             f"cluster is {address!r}, where no Dask scheduler answers within {CONNECT_S:g} s "
@@ -310,7 +310,7 @@ def _connect(address: str) -> Any:
         return distributed.Client(address, timeout=RETURN_S, set_as_default=False)
 
 
-async def _ask_server(address: str) -> tuple[str, str]:
+async def _query_server(address: str) -> tuple[str, str]:
     """Return the kind of a Dask server, and the version of its package `distributed`. This function
     does not use Dask's client, because the client waits forever if the server is not a Dask
     server."""

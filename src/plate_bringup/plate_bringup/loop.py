@@ -657,7 +657,7 @@ def is_fulfilled(task: Task, rig: Rig, moment: Moment, error: np.ndarray) -> boo
 def summary(setup: Setup, rig: Rig, transport: Transport | None = None) -> dict[str, object]:
     """Run the loop until the task has ended. Return the row that `bench/closed_loop.py` prints."""
     solve_s, step_s, errors, misses, requests = [], [], [], [], []
-    shares, scaled, held, late = [], 0, 0, 0
+    uses, scaled, held, late = [], 0, 0, 0
     task, cycles = setup.recipe.task, hashlib.blake2b(digest_size=8)
     for moment in run(setup, rig, transport):
         cycle = moment.answer.cycle
@@ -670,7 +670,7 @@ def summary(setup: Setup, rig: Rig, transport: Transport | None = None) -> dict[
             step_s.append(moment.step_s)
             misses.append(moment.answer.error_m)
             requests.append(moment.answer.requested_m)
-        shares.append((moment.limit_share, moment.force_share, moment.heat_share))
+        uses.append((moment.limit_share, moment.force_share, moment.heat_share))
         scaled += moment.scaled
         errors.append(moment.error_m)
     stay = isinstance(task, PoseTask) and all(pose.place is None for pose in task.poses)
@@ -681,7 +681,7 @@ def summary(setup: Setup, rig: Rig, transport: Transport | None = None) -> dict[
     # The first cycle is omitted, because lookup tables of the solver are computed in it.
     milliseconds = 1e3 * np.array(solve_s[1:] or [0.0])
     steps = 1e3 * np.array(step_s[1:] or [0.0])
-    most = np.max(shares, axis=0).tolist()
+    max_uses = np.max(uses, axis=0).tolist()
     return {
         "scenario": setup.scenario if isinstance(setup.scenario, str) else setup.scenario.name,
         "seed": setup.seed,
@@ -704,7 +704,9 @@ def summary(setup: Setup, rig: Rig, transport: Transport | None = None) -> dict[
         "solve_ms_p99": float(np.percentile(milliseconds, 99)),
         "step_ms_median": float(np.median(steps)),
         "step_ms_p99": float(np.percentile(steps, 99)),
-        **dict(zip(("limit_share_max", "force_share_max", "heat_share_max"), most, strict=True)),
+        **dict(
+            zip(("limit_share_max", "force_share_max", "heat_share_max"), max_uses, strict=True)
+        ),
         "scaled": scaled,
         "gamma": round(rig.gamma, 2),
     }

@@ -28,13 +28,13 @@ def main() -> None:
         nargs="*",
         help=f"any of {', '.join(graph)} (default: {', '.join(default)})",
     )
-    words = sys.argv[1:]
-    ros = words.index("--ros-args") if "--ros-args" in words else len(words)
-    names = parser.parse_args(words[:ros]).nodes or default
+    arguments = sys.argv[1:]
+    ros = arguments.index("--ros-args") if "--ros-args" in arguments else len(arguments)
+    names = parser.parse_args(arguments[:ros]).nodes or default
     unknown = [name for name in names if name not in graph]
     if unknown:
         parser.error(f"node is {unknown[0]!r}, allowed: {', '.join(graph)}")
-    run_nodes({name: component(graph[name].component) for name in names}, words[ros:])
+    run_nodes({name: component(graph[name].component) for name in names}, arguments[ros:])
 
 
 def component(name: str) -> Any:

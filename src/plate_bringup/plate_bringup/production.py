@@ -25,14 +25,24 @@ from plate_sim import Grip, Move, Simulation
 from .loop import Setup, run
 
 __all__ = [
-    "ASKS", "COMES", "LEAVES", "Act", "FeederCell", "Production", "Robot", "Tally", "check_robot",
-    "filled", "percentiles", "produce",
+    "COMES",
+    "LEAVES",
+    "REQUESTS",
+    "Act",
+    "FeederCell",
+    "Production",
+    "Robot",
+    "Tally",
+    "check_robot",
+    "filled",
+    "percentiles",
+    "produce",
 ]  # fmt: skip
 
 LEAVES = 0.15
 """Time from a grip until the robot has left the image, divided by the robot's cycle."""
 
-ASKS = 0.6
+REQUESTS = 0.6
 """Time from a grip until the robot requests the next part, divided by the robot's cycle."""
 
 COMES = 0.85
@@ -52,7 +62,7 @@ class Act(Enum):
     """Next action of a robot."""
 
     LEAVE = "leave"
-    ASK = "ask"
+    REQUEST = "ask"
     COME = "come"
     GRIP = "grip"
 
@@ -94,13 +104,13 @@ class Robot:
     @classmethod
     def ready(cls, cycle_s: float) -> Robot:
         """Return a robot that requests its first part at time 0."""
-        return cls(cycle_s, -ASKS * cycle_s, Act.ASK)
+        return cls(cycle_s, -REQUESTS * cycle_s, Act.REQUEST)
 
     def after_reply(self, place: tuple[float, float, float] | None, now: float) -> Robot:
         """Return the robot after it has received a reply at the time `now` [s]. `place` is the pose
         of the part [m, m, rad, plate_home], or None if the reply contains no part."""
         if place is None:
-            return replace(self, next=Act.ASK, refused=now)
+            return replace(self, next=Act.REQUEST, refused=now)
         return replace(self, place=place, answered=now)
 
     @property
@@ -108,8 +118,8 @@ class Robot:
         """Time of the next action [s]. Infinite while the robot waits for a reply."""
         if self.next is Act.LEAVE:
             return self.since + LEAVES * self.cycle_s
-        if self.next is Act.ASK:
-            return max(self.since + ASKS * self.cycle_s, self.refused + AGAIN * self.cycle_s)
+        if self.next is Act.REQUEST:
+            return max(self.since + REQUESTS * self.cycle_s, self.refused + AGAIN * self.cycle_s)
         if self.place is None:
             return np.inf
         comes = max(self.since + COMES * self.cycle_s, self.answered)
@@ -123,7 +133,7 @@ class Robot:
         act = self.next
         if act is Act.GRIP:
             return Robot(self.cycle_s, self.due), act
-        follows = {Act.LEAVE: Act.ASK, Act.ASK: Act.COME, Act.COME: Act.GRIP}
+        follows = {Act.LEAVE: Act.REQUEST, Act.REQUEST: Act.COME, Act.COME: Act.GRIP}
         return replace(self, next=follows[act]), act
 
     def waited(self, now: float) -> float:
@@ -279,7 +289,7 @@ class FeederCell:
             self.robot, act = before.step(now)
             if act is None:
                 return
-            if act is Act.ASK:
+            if act is Act.REQUEST:
                 self._process_reply(self.feeder.get_part(CLIENT, now=now), now)
             elif act is Act.LEAVE:
                 simulation.move_robot(Move.AWAY)
@@ -340,10 +350,10 @@ def check_robot(task: FeedTask, cycle_s: float) -> None:
     PlateError
         If the cycle of the robot is too long for the `valid_s` of the task.
     """
-    least = (1 + LEAVES - ASKS) * cycle_s
-    if task.valid_s < least:
+    min_s = (1 + LEAVES - REQUESTS) * cycle_s
+    if task.valid_s < min_s:
         raise PlateError(
-            f"valid_s is {task.valid_s:g} s, allowed: at least {least:g} s, because a robot with a "
+            f"valid_s is {task.valid_s:g} s, allowed: at least {min_s:g} s, because a robot with a "
             f"cycle of {cycle_s:g} s needs this time from the feeder's reply until its gripper has "
             "left the plate"
         )
@@ -370,18 +380,18 @@ def filled(recipe: Scenario, fill: int) -> Scenario:
         raise PlateError(
             f"fill is {fill}, allowed: {ready} (the number of ready parts) to {MAX_PARTS}"
         )
-    least = max(1, round(fill * hopper.least / hopper.fill))
-    wanted = [pick.label for pick in task.picks]
+    min_fill = max(1, round(fill * hopper.least / hopper.fill))
+    labels = [pick.label for pick in task.picks]
     groups = tuple(
-        replace(group, count=int(group.label == wanted[0]), position=None)
-        if group.label in wanted
+        replace(group, count=int(group.label == labels[0]), position=None)
+        if group.label in labels
         else group
         for group in recipe.parts
     )
     return replace(
         recipe,
         parts=groups,
-        task=replace(task, hopper=replace(hopper, fill=fill, least=least)),
+        task=replace(task, hopper=replace(hopper, fill=fill, least=min_fill)),
     )
 
 

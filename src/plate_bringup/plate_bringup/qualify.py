@@ -93,9 +93,9 @@ def _shown(value: float, unit: str, digits: int) -> str:
 
 def best(rows: Sequence[Row]) -> Row | None:
     """Return the row of the best fill (see `AS_GOOD`), or None if no part was picked."""
-    most = max(row.parts_per_min for row in rows)
-    good = [row for row in rows if row.parts_per_min >= AS_GOOD * most]
-    return min(good, key=lambda row: row.fill) if most > 0 else None
+    max_rate = max(row.parts_per_min for row in rows)
+    good = [row for row in rows if row.parts_per_min >= AS_GOOD * max_rate]
+    return min(good, key=lambda row: row.fill) if max_rate > 0 else None
 
 
 def qualified(
@@ -204,12 +204,12 @@ def chart(rows: Sequence[Row]) -> str:
     with rc_context({"svg.fonttype": "none", "font.size": 11}):
         figure = Figure(figsize=(9, 3.4), layout="constrained")
         panels = figure.subplots(1, 2)
-        told = (
+        series = (
             ("parts per minute", [[run.parts_per_min for run in row.runs] for row in rows]),
             ("robot waits [%]", [[100 * run.waiting for run in row.runs] for row in rows]),
         )
         fills = [row.fill for row in rows]
-        for panel, (label, values) in zip(panels, told, strict=True):
+        for panel, (label, values) in zip(panels, series, strict=True):
             for fill, found in zip(fills, values, strict=True):
                 panel.plot([fill] * len(found), found, ".", color="#767676")
             panel.plot(fills, [np.mean(found) for found in values], "o-", color="#0b5f8a")
@@ -244,10 +244,10 @@ def main() -> None:
         print(about, flush=True)
         rows = []
         for fill in args.fill:
-            tell = Progress(fill, args.seeds, 60 * args.minutes)
+            progress = Progress(fill, args.seeds, 60 * args.minutes)
             seeds, length_s = range(args.seeds), 60 * args.minutes
-            rows.append(qualified(recipe, rig, fill, args.robot_cycle, length_s, seeds, tell))
-            tell.done(rows[-1])
+            rows.append(qualified(recipe, rig, fill, args.robot_cycle, length_s, seeds, progress))
+            progress.done(rows[-1])
         print(table(rows))
         if args.page is not None:
             page(args.page, f"Feeder: {recipe.name}", about, rows)
@@ -266,7 +266,7 @@ class Progress:
 
     def __init__(self, fill: int, seeds: int, time_s: float) -> None:
         self._fill, self._seeds, self._time_s = fill, seeds, time_s
-        self._told = 0
+        self._reported = 0
         terminal = sys.stderr.isatty()
         self._begin, self._end, self._each = ("\r\033[K", "", 1) if terminal else ("", "\n", 10)
 
@@ -275,9 +275,9 @@ class Progress:
         computed cycle."""
         tally = cell.tally
         done = int(100 * (seed + min(tally.time_s / self._time_s, 1.0)) / self._seeds)
-        if done < self._told + self._each:
+        if done < self._reported + self._each:
             return
-        self._told = done
+        self._reported = done
         print(
             f"{self._begin}fill {self._fill}: {done} %, seed {seed}: {tally.picks} parts in "
             f"{tally.time_s:.0f} s",

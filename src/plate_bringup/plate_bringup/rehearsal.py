@@ -26,7 +26,7 @@ from plate_vision import Prediction
 
 from .loop import Setup, run
 
-__all__ = ["REHEARSALS", "STILL", "Rehearsal", "Share", "Verdict", "rehearse", "rehearse_task"]
+__all__ = ["REHEARSALS", "STILL", "LimitUse", "Rehearsal", "Verdict", "rehearse", "rehearse_task"]
 
 REHEARSALS = 3
 """Number of rehearsals of a task. Each rehearsal has different random start positions."""
@@ -53,7 +53,7 @@ NOTHING_SEEN = np.zeros((0, 0))
 """Empty image, which `Predicted` returns because it has no camera."""
 
 
-class Share(NamedTuple):
+class LimitUse(NamedTuple):
     """Used fractions of the limits of the rig (medians over the cycles)."""
 
     stroke: float = 0.0
@@ -82,14 +82,14 @@ class Rehearsal:
         Mean speed of the parts until half of the distance remained [m/s].
     lost : bool
         Whether a part left the plate.
-    share : Share
+    limit_use : Share
         Used fractions of the limits of the rig.
     """
 
     time_s: float
     speed: float
     lost: bool
-    share: Share
+    limit_use: LimitUse
 
 
 class Verdict(NamedTuple):
@@ -119,9 +119,9 @@ class Verdict(NamedTuple):
         return max(float(np.median([one.speed for one in self.rehearsals])), 0.0)
 
     @property
-    def share(self) -> Share:
+    def limit_use(self) -> LimitUse:
         """Medians of the used fractions of the limits."""
-        return Share(*np.median([one.share for one in self.rehearsals], axis=0))
+        return LimitUse(*np.median([one.limit_use for one in self.rehearsals], axis=0))
 
 
 def rehearse_task(rig: Rig, scenario: Scenario, rehearsals: int = REHEARSALS) -> Verdict:
@@ -214,15 +214,15 @@ def rehearse(rig: Rig, scenario: Scenario, seed: int) -> Rehearsal:
         fails = last.phase.is_failure or (left[-1] > 0 and rate <= max(going, 1) * STILL)
         hold_s = 0.0 if isinstance(scenario.task, FollowTask) else scenario.task.hold_s
         time += np.inf if fails else hold_s + left[-1] / max(rate, STILL)
-    shares = [share_of(rig, moment.answer.cycle) for moment in moments]
+    uses = [limit_use_of(rig, moment.answer.cycle) for moment in moments]
     lost = last.phase is Phase.LOST
-    return Rehearsal(float(time), float(speed), lost, Share(*np.median(shares, axis=0)))
+    return Rehearsal(float(time), float(speed), lost, LimitUse(*np.median(uses, axis=0)))
 
 
-def share_of(rig: Rig, cycle: PlateCycle) -> Share:
+def limit_use_of(rig: Rig, cycle: PlateCycle) -> LimitUse:
     """Return the fractions of the rig's limits that a cycle uses."""
     used, limits = usage(rig, cycle), rig.limits
-    return Share(
+    return LimitUse(
         used.stroke_m / limits.stroke_m,
         used.speed / limits.speed,
         used.accel / limits.accel,

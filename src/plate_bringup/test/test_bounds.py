@@ -66,7 +66,7 @@ def test_no_motion_along_a_line_beats_the_bounds(seed):
 
 
 def test_no_speed_where_nothing_slides():
-    assert speed_bounds(shaken(0.9 * A), 0.1).least == 0
+    assert speed_bounds(shaken(0.9 * A), 0.1).minimum == 0
 
 
 def test_motors_that_are_weak_bound_too():

@@ -60,7 +60,7 @@ def test_a_plate_that_hardly_shakes_is_not(monkeypatch):
     verdict = rehearse_task(shaken(1.2), load_scenario("follow_2"), 1)
     assert not verdict.likely
     assert verdict.speed < RIG.friction.accel * 0.1 / 16 * (1.2 - 1 / 1.2)
-    assert verdict.share.binds == "acceleration"
+    assert verdict.limit_use.binds == "acceleration"
 
 
 TO_GO_M = [0.0, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3]
@@ -99,7 +99,7 @@ def test_the_rest_of_a_rehearsal_is_estimated_from_its_second_half(
     assert result.time_s == pytest.approx(expected)
     assert result.speed == pytest.approx(speed)
     assert result.lost == (phase is Phase.LOST)
-    assert result.share == (0, 0, 0, 0, 0)
+    assert result.limit_use == (0, 0, 0, 0, 0)
 
 
 def test_the_less_it_shakes_the_longer_it_takes():
@@ -110,11 +110,11 @@ def test_the_less_it_shakes_the_longer_it_takes():
 
 def test_a_short_stroke_binds():
     rig = replace(RIG, limits=replace(RIG.limits, stroke_m=0.001))
-    assert rehearse(rig, with_few("sort_4"), 0).share.binds == "stroke"
+    assert rehearse(rig, with_few("sort_4"), 0).limit_use.binds == "stroke"
 
 
 def test_it_keeps_the_limits():
-    used = rehearse(RIG, load_scenario("sort_4"), 1).share
+    used = rehearse(RIG, load_scenario("sort_4"), 1).limit_use
     assert 0.5 < max(used) <= 1
 
 

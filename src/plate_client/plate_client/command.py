@@ -105,11 +105,11 @@ def _arguments() -> argparse.Namespace:
         if name == "set":
             one.add_argument("value", nargs="?", metavar="VALUE")
         one.add_argument("--namespace", default="", help="namespace of the nodes")
-    words = sys.argv[1:]
-    if words and words[0] not in (*SERVICES, *OTHERS, "-h", "--help"):
+    arguments = sys.argv[1:]
+    if arguments and arguments[0] not in (*SERVICES, *OTHERS, "-h", "--help"):
         from plate_core import did_you_mean
 
         known = (*SERVICES, *OTHERS)
-        hint = did_you_mean(words[0], known)
-        parser.exit(2, f"plate: command is {words[0]!r}{hint}, allowed: {', '.join(known)}\n")
+        hint = did_you_mean(arguments[0], known)
+        parser.exit(2, f"plate: command is {arguments[0]!r}{hint}, allowed: {', '.join(known)}\n")
     return parser.parse_args()

@@ -16,7 +16,7 @@ from plate_interfaces.msg import TaskProgress
 
 
 def test_targets_that_nobody_hears_are_said(monkeypatch):
-    monkeypatch.setattr(client, "FOUND_S", 0.1)
+    monkeypatch.setattr(client, "DISCOVERY_S", 0.1)
     why = "no node in this ROS domain subscribes to targets; start the planner"
     with (
         PlateClient.connect(f"/nobody_{os.getpid()}") as plate,
@@ -44,7 +44,7 @@ def test_a_planner_that_says_nothing_of_a_task_is_not_waited_for(silent):
     with pytest.raises(PlateError, match="the planner has sent no message for 2 s"):
         plate.wait(task, meanwhile=lambda: said.append(task))
     rounds = len(said)
-    assert rounds * client.AGAIN_S == pytest.approx(client.SILENT_S)
+    assert rounds * client.AGAIN_S == pytest.approx(client.TIMEOUT_S)
 
     def speak():
         task.feedbacks += len(said) == rounds + 5

@@ -42,7 +42,7 @@ for module, name in ((graph, "DISCOVERY_S"), (services, "DISCOVERY_S"), (graph, 
     patch.object(module, name, 60.0).start()  # an unknown name is an error
 _, namespace, *commands = sys.argv
 for command in commands:
-    services.FOUND_S = 1.0 if command == "stop" else 60.0
+    services.SERVICE_TIMEOUT_S = 1.0 if command == "stop" else 60.0
     sys.argv = ["plate", command, "--namespace", namespace]
     try:
         main()

@@ -3,7 +3,7 @@ moves it by small amounts, and disables it.
 
 The set-up is the same as in the board's firmware. The host sends one setpoint in each bus cycle,
 even if the cycle starts late. A delay of the host therefore slows the motion down, but the motor
-does not jump. If the host's heartbeat is missing for `SILENT_MS`, the drive stops without a
+does not jump. If the host's heartbeat is missing for `TIMEOUT_MS`, the drive stops without a
 command.
 """
 
@@ -28,7 +28,7 @@ CYCLE_MS = 10
 BEAT_MS = 50
 """Period at which each drive and this program send heartbeats [ms]."""
 
-SILENT_MS = 300
+TIMEOUT_MS = 300
 """Time without a heartbeat of this program after which a drive stops without a command [ms]."""
 
 READY_S = 5.0
@@ -54,7 +54,7 @@ DISABLE, QUICK_STOP, SHUTDOWN, SWITCH_ON, OPERATE = 0x00, 0x02, 0x06, 0x07, 0x0F
 
 STEPS = (
     (0x6040, 0, DISABLE, 2),  # disable the drive in any state
-    (0x1017, 0, BEAT_MS, 2), (0x1016, 1, OWN_NODE << 16 | SILENT_MS, 4),
+    (0x1017, 0, BEAT_MS, 2), (0x1016, 1, OWN_NODE << 16 | TIMEOUT_MS, 4),
     # If the connection to the host is lost, the drive does a quick stop, then switches the current
     # off.
     (0x6007, 0, 3, 2), (0x605A, 0, 2, 2),
@@ -98,7 +98,7 @@ def switch_off(master: Master, motor: int, node: int) -> None:
     except PlateError as error:
         why = (
             f"{error}; motor_{motor} may still have current. Its drive should stop it "
-            f"{1e-3 * SILENT_MS:g} s after the last message; check this, or cut the power by hand"
+            f"{1e-3 * TIMEOUT_MS:g} s after the last message; check this, or cut the power by hand"
         )
     with contextlib.suppress(PlateError):
         master.send(NMT, bytes([RESET_NODE, node]))
@@ -197,7 +197,7 @@ class Axis:
         if mode != 8:
             raise PlateError(trouble_text(self._motor, Trouble.WRONG_DRIVE, 0x6061, mode))
         self._command(START)
-        master.wait(1e-3 * SILENT_MS, lambda: received.state == OPERATIONAL)
+        master.wait(1e-3 * TIMEOUT_MS, lambda: received.state == OPERATIONAL)
         received.boots, received.emergency, self._due = 0, None, master.now
         for _ in range(2):  # exchange twice, because the first reply may belong to an earlier SYNC
             self._exchange(None)
@@ -236,7 +236,7 @@ class Axis:
             (received.emergency, Trouble.EMERGENCY, *(received.emergency or (0, 0))[::-1]),
             (received.boots, Trouble.RESET, 0, 0),
             (received.state != OPERATIONAL, Trouble.NOT_OPERATIONAL, 0, received.state or 0),
-            (self._master.now - received.beat_at > 1e-3 * SILENT_MS, Trouble.SILENT, 0, 0),
+            (self._master.now - received.beat_at > 1e-3 * TIMEOUT_MS, Trouble.SILENT, 0, 0),
             (self._missed == MISSED, Trouble.NO_POSITION, 0, 0),
             (self._doubled == MISSED, Trouble.TWICE, 0, 0),
             (in_fault(self._status), Trouble.FAULT, 0, self._status),

@@ -21,9 +21,9 @@ from plate_core.rig import Drive, Limits, rig_path
 from .axis import CYCLE_MS, Axis, switch_off, uninterrupted
 from .master import Master, open_bus
 from .rig_file import differences, write
-from .survey import Found, doubts, drives_of, enabled, survey
+from .survey import BusNode, bus_warnings, drives_of, enabled, survey
 
-__all__ = ["Ask", "ask", "commission", "main"]
+__all__ = ["AskUser", "ask", "commission", "main"]
 
 SIZE_M = 5e-4
 """Amplitude of the test motions [m]. The amplitude is at most a quarter of the motor's stroke."""
@@ -47,7 +47,7 @@ ROUGH = 0.1
 commanded travel by at most this fraction, the program keeps the scale of the rig file."""
 
 
-Ask = Callable[[str, Callable[[], object]], str]
+AskUser = Callable[[str, Callable[[], object]], str]
 """Function that asks the user a question and returns the answer. Until the user answers, the
 function calls its second argument repeatedly."""
 
@@ -71,8 +71,8 @@ class Dialogue:
     """Dialogue with the user about each motor. Before the dialogue, check that all drives on the
     bus match the rig file."""
 
-    def __init__(self, rig: Rig, master: Master, found: dict[int, Found], ask: Ask) -> None:
-        self._rig, self._master, self._found, self._ask = rig, master, found, ask
+    def __init__(self, rig: Rig, master: Master, found: dict[int, BusNode], ask: AskUser) -> None:
+        self._rig, self._master, self._nodes, self._ask = rig, master, found, ask
         self._size = min(SIZE_M, rig.limits.stroke_m / 4)
 
     def ask(self, question: str, axis: Axis | None = None) -> str:
@@ -97,7 +97,7 @@ class Dialogue:
         well = True
         for number, drive in enumerate(drives_of(self._rig), 1):
             direction = "({:g}, {:g})".format(*self._rig.motors[number - 1].direction)
-            print(f"\nmotor_{number}, {self._found[drive.node]}")
+            print(f"\nmotor_{number}, {self._nodes[drive.node]}")
             question = (
                 f"The motor will get current, move {1e3 * self._size:g} mm along {direction}, and "
                 "oscillate with this amplitude. Check that nobody is near it, and that the "
@@ -119,7 +119,7 @@ class Dialogue:
     def _axis(self, number: int, drive: Drive) -> tuple[str, Drive]:
         """Identify, measure and test one drive. Return the name of the drive's motor and the new
         values of the drive."""
-        limits, size, values = self._rig.limits, self._size, self._found[drive.node].values
+        limits, size, values = self._rig.limits, self._size, self._nodes[drive.node].values
         ends = values.get("lowest", 0), values.get("highest", 0)
         scale = drive.sign * drive.counts_per_m
         by_speed = 1.9 * size / limits.speed
@@ -186,8 +186,8 @@ class Dialogue:
     def _serial(self, drive: Drive) -> int:
         """Return a drive's serial number. If several drives report the same number, return the
         number in the rig file."""
-        serials = [one.values.get("serial", 0) for one in self._found.values()]
-        own = self._found[drive.node].values.get("serial", 0)
+        serials = [one.values.get("serial", 0) for one in self._nodes.values()]
+        own = self._nodes[drive.node].values.get("serial", 0)
         return own if serials.count(own) == 1 else drive.serial
 
     def _swing(self, axis: Axis, size: float, limits: Limits) -> None:
@@ -239,7 +239,7 @@ def _scale(scale: float, commanded_mm: float, answer: str) -> float:
     return float(f"{new:.3g}")
 
 
-def commission(path: Path, master: Master, only_check: bool, ask: Ask = ask) -> int:
+def commission(path: Path, master: Master, only_check: bool, ask: AskUser = ask) -> int:
     """Check the drives on a bus. If `only_check` is False, also move and measure the motors, and
     write the result to the rig file.
 
@@ -248,13 +248,13 @@ def commission(path: Path, master: Master, only_check: bool, ask: Ask = ask) -> 
     rig = load_rig(path)
     drives, found = drives_of(rig), survey(master)
     print("\n".join(map(str, found.values())) or "no node answers on the bus")
-    wrong = list(doubts(rig, found, master.other_master))
-    for doubt in wrong:
-        print(f"{'WRONG' if doubt.impossible else 'note'}: {doubt.text}")
-    hindered = any(doubt.impossible and doubt.about != "limits" for doubt in wrong)
+    wrong = list(bus_warnings(rig, found, master.other_master))
+    for warning in wrong:
+        print(f"{'WRONG' if warning.impossible else 'note'}: {warning.text}")
+    hindered = any(warning.impossible and warning.about != "limits" for warning in wrong)
     if only_check or hindered:
         print("nothing was moved")
-        return int(any(doubt.impossible for doubt in wrong))
+        return int(any(warning.impossible for warning in wrong))
     dialogue, well = Dialogue(rig, master, found, ask), False
     try:
         new, well = dialogue.measured()

@@ -39,7 +39,7 @@ def in_fault(status: int) -> bool:
 
 
 @dataclass(frozen=True)
-class Found:
+class BusNode:
     """A node on the bus.
 
     Attributes
@@ -75,7 +75,7 @@ class Found:
         )
 
 
-def survey(master: Master) -> dict[int, Found]:
+def survey(master: Master) -> dict[int, BusNode]:
     """Read all nodes on the bus, and return them by their numbers. No object is written.
 
     Raises
@@ -91,7 +91,7 @@ def survey(master: Master) -> dict[int, Found]:
                 values[name] = master.read(node, index, sub, name in SIGNED)
             except Refused as error:
                 refusals[name] = str(error)
-        found[node] = Found(node, values, refusals, twice)
+        found[node] = BusNode(node, values, refusals, twice)
     return found
 
 
@@ -105,7 +105,9 @@ def drives_of(rig: Rig) -> list[Drive]:
     return drives
 
 
-def doubts(rig: Rig, found: Mapping[int, Found], other_master: bool) -> Iterator[RigWarning]:
+def bus_warnings(
+    rig: Rig, found: Mapping[int, BusNode], other_master: bool
+) -> Iterator[RigWarning]:
     """Yield the differences between the drives on the bus and the rig file. If a difference is
     `impossible`, it must be corrected before motors are moved."""
     if other_master:
@@ -121,7 +123,7 @@ def doubts(rig: Rig, found: Mapping[int, Found], other_master: bool) -> Iterator
         yield RigWarning("bus", f"node {node} is on the bus but not in the rig file")
 
 
-def _of_drive(number: int, drive: Drive, found: Mapping[int, Found]) -> Iterator[str]:
+def _of_drive(number: int, drive: Drive, found: Mapping[int, BusNode]) -> Iterator[str]:
     name, node, one = f"motor_{number}", drive.node, found.get(drive.node)
     same = [k for k, n in found.items() if drive.serial and n.values.get("serial") == drive.serial]
     swapped = f"; the serial number of the rig file is at node {same[0]}" if same else ""
@@ -154,7 +156,7 @@ def _of_drive(number: int, drive: Drive, found: Mapping[int, Found]) -> Iterator
         )
 
 
-def _of_limits(drive: Drive, one: Found, limits: Limits) -> Iterator[tuple[str, bool]]:
+def _of_limits(drive: Drive, one: BusNode, limits: Limits) -> Iterator[tuple[str, bool]]:
     """Yield a text about each limit of the drive that is missing, or that is stricter than the
     limits of the rig. Also yield whether the text describes an error."""
     low, high, speed, window = (

@@ -85,7 +85,7 @@ SEEN_AGAIN_S = 1.0
 tracker still reports a missing part for some images. If a part is reported after this time, the
 robot has not taken the part."""
 
-SILENT_S = 1.0
+STATUS_TIMEOUT_S = 1.0
 """Maximum time between two statuses of a running task [s]. Ten cycles of the plate last about this
 time."""
 
@@ -271,17 +271,17 @@ class Feeder:
         Reply or None
             Refusal, or None if the request was accepted and waits for its reply.
         """
-        wanted = self._read(label, pick, timeout_s)
-        if isinstance(wanted, Reply):
-            return wanted
+        request = self._read(label, pick, timeout_s)
+        if isinstance(request, Reply):
+            return request
         if refusal := self._refusal(client):
             return refusal
-        if wanted == _Request() and self._prepared is not None:
-            wanted = self._prepared
+        if request == _Request() and self._prepared is not None:
+            request = self._prepared
         self._prepared = None
         self._give_up()
         timeout_s = timeout_s or self.task.timeout_s
-        self._waiting = _Waiting(client, wanted, now + timeout_s, timeout_s)
+        self._waiting = _Waiting(client, request, now + timeout_s, timeout_s)
         self._begin(now)
         return None
 
@@ -291,15 +291,15 @@ class Feeder:
         """Request that a part is made ready for the next `get_part` without a class. Any client may
         send this `get_part`. The request stays valid if the client that made it disconnects. The
         parameters are the same as in `get_part`."""
-        wanted = self._read(label, pick)
-        if isinstance(wanted, Reply):
-            return wanted
+        request = self._read(label, pick)
+        if isinstance(request, Reply):
+            return request
         if refusal := self._refusal(client):
             return refusal
         self._give_up()
-        self._prepared = wanted
+        self._prepared = request
         self._begin(now)
-        return Reply(Code.DONE, f"{wanted.label or 'a part'} is being prepared")
+        return Reply(Code.DONE, f"{request.label or 'a part'} is being prepared")
 
     def part_taken(self, client: Hashable, part: str = "", taken: bool = True) -> Reply:
         """Record the report of a robot that has tried to take a part and is no longer above this
@@ -393,7 +393,7 @@ class Feeder:
         if self._waiting is not None:
             self._answer(self._waiting, now)
         # without a status from the planner, end the request, so that the task does not start later
-        if self._task is _Task.REQUESTED and self.silence(now):
+        if self._task is _Task.REQUESTED and self.no_status_text(now):
             self._end()
         open_s = self._open(now)
         self._decide()
@@ -422,7 +422,7 @@ class Feeder:
             return State.RESERVED
         if self._task is _Task.REQUESTED:
             return State.STARTING
-        if self.silence(now):
+        if self.no_status_text(now):
             return State.SILENT
         if waiting is not None:
             return State.PURGING if waiting.purge else State.WAITING
@@ -446,15 +446,15 @@ class Feeder:
         """Whether the last openings of the hopper brought no new parts."""
         return self._vain_openings >= MAX_OPENINGS
 
-    def silence(self, now: float) -> str:
+    def no_status_text(self, now: float) -> str:
         """Return a text that describes which messages of the planner are missing. The text is empty
         if no messages are missing."""
-        silent = now - self._since
-        if self._task is _Task.REQUESTED and silent > START_S:
+        age = now - self._since
+        if self._task is _Task.REQUESTED and age > START_S:
             return f"the planner has not started feed_parts within {START_S:g} s"
-        if self._task is _Task.RUNNING and silent > SILENT_S:
+        if self._task is _Task.RUNNING and age > STATUS_TIMEOUT_S:
             hint = "check that the planner runs and the computer is not too slow"
-            return f"no feed_status for {silent:.1f} s; {hint}"
+            return f"no feed_status for {age:.1f} s; {hint}"
         return ""
 
     # Commands
@@ -529,9 +529,9 @@ class Feeder:
             self._replies.append((waiting.client, reply))
 
     def _answer(self, waiting: _Waiting, now: float) -> None:
-        silence = self.silence(now)
-        if silence:
-            self._answer_waiting(Code.SILENT, silence)
+        text = self.no_status_text(now)
+        if text:
+            self._answer_waiting(Code.SILENT, text)
         elif waiting.purge:
             self._answer_purge(waiting, now)
         elif self._rests() and (offers := self._offers(waiting.request)):
@@ -587,8 +587,8 @@ class Feeder:
     def _picks(self) -> tuple[Pick, ...]:
         """Return the picks that the planner must get ready. For each ready part that must not be
         offered to robots, one more part of the same class is requested."""
-        wanted = self._waiting.request if self._waiting is not None else self._prepared
-        other = None if wanted is None else wanted.pick
+        request = self._waiting.request if self._waiting is not None else self._prepared
+        other = None if request is None else request.pick
         picks = [
             other if other is not None and other.label == pick.label else pick
             for pick in self.task.picks
@@ -611,13 +611,13 @@ class Feeder:
     def _ready(self) -> tuple[ReadyPart, ...]:
         return () if self._status is None else self._status.ready
 
-    def _offers(self, wanted: _Request) -> list[ReadyPart]:
-        """Return the parts in the newest status that may be offered for the request `wanted`."""
+    def _offers(self, request: _Request) -> list[ReadyPart]:
+        """Return the parts in the newest status that may be offered for the request `request`."""
         picks = {pick.label: pick for pick in self._picks()}
         return [
             part
             for part in self._ready()
-            if wanted.label in ("", part.label)
+            if request.label in ("", part.label)
             and part.label in picks
             and as_picked(part.alone, picks[part.label], self._rig)[0]
             and part.id not in self._held
@@ -686,11 +686,11 @@ class Feeder:
             ready = settling or self._offers(waiting.request)
             return FeedMode.REST if ready else FeedMode.FEED
         offers = [part.label for part in self._offers(self._prepared or _Request())]
-        wanted = {pick.label: pick.ready for pick in self.task.picks}
+        counts = {pick.label: pick.ready for pick in self.task.picks}
         if self._prepared is not None and self._prepared.label:
             label, pick = self._prepared.label, self._prepared.pick
-            wanted = {label: wanted[label] if pick is None else pick.ready}
-        enough = all(offers.count(label) >= count for label, count in wanted.items())
+            counts = {label: counts[label] if pick is None else pick.ready}
+        enough = all(offers.count(label) >= count for label, count in counts.items())
         self._planner_rested &= enough
         return FeedMode.REST if self._planner_rested else FeedMode.FEED
 
@@ -716,7 +716,7 @@ class Feeder:
                 0 if total_parts > self._total_before_opening else self._vain_openings + 1
             )
             self._total_before_opening = None
-        if self._reserved is not None or purging or self.silence(now):
+        if self._reserved is not None or purging or self.no_status_text(now):
             return None
         absent = self._waiting is not None and not self._on_plate(self._waiting.request.label)
         enough = hopper.fill if absent else hopper.least

@@ -22,7 +22,7 @@ MIN_BASE_M = 0.05
 """Minimum extent of the points on the plate [m]. If the points are closer to each other, they do
 not determine the angle of the plate accurately."""
 
-FAR_M = 10.0
+MAX_M = 10.0
 """Maximum absolute value of a coordinate in a hand-eye file [m]."""
 
 FILE = Section(
@@ -42,10 +42,10 @@ POINT = Section(
     (
         Key(
             "plate_m",
-            Numbers((2,), -FAR_M, FAR_M),
+            Numbers((2,), -MAX_M, MAX_M),
             "The point on the plate at rest [x, y], in plate_home.",
         ),
-        Key("robot_m", Numbers((2,), -FAR_M, FAR_M), "The same point [x, y] in the robot's frame."),
+        Key("robot_m", Numbers((2,), -MAX_M, MAX_M), "The same point [x, y] in the robot's frame."),
     ),
 )
 
@@ -80,8 +80,8 @@ class HandEye:
         cos, sin = math.cos(self.angle), math.sin(self.angle)
         covariance = part.covariance
         if covariance[0] >= 0:  # a negative value means that the covariance is unknown
-            turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-            turned = turn @ np.reshape(covariance, (3, 3)) @ turn.T
+            rotation = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+            turned = rotation @ np.reshape(covariance, (3, 3)) @ rotation.T
             covariance = tuple(turned.ravel().tolist())
         return replace(
             part,
@@ -146,7 +146,7 @@ def fit_hand_eye(frame: str, plate: np.ndarray, robot: np.ndarray) -> HandEye:
             f"largest distance between two points on the plate is {1e3 * base:.1f} mm, allowed: "
             f"{1e3 * MIN_BASE_M:g} mm or more"
         )
-    residuals, turn, shift = _fit(p, q)
+    residuals, rotation, shift = _fit(p, q)
     worst = int(np.argmax(residuals))
     if not residuals[worst] <= MAX_RESIDUAL_M:
         mirrored, *_ = _fit(p.conj(), q)
@@ -156,14 +156,14 @@ def fit_hand_eye(frame: str, plate: np.ndarray, robot: np.ndarray) -> HandEye:
             f"allowed: {1e3 * MAX_RESIDUAL_M:g} mm"
             + (hint if np.max(mirrored) <= MAX_RESIDUAL_M else "")
         )
-    angle = float(np.angle(turn))
+    angle = float(np.angle(rotation))
     return HandEye(frame, angle, shift.real, shift.imag, float(residuals[worst]))
 
 
 def _fit(p: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, complex, complex]:
     """Return the residuals (N,) [m], the rotation as a complex number of magnitude 1, and the
     translation as a complex number [m]."""
-    turn = np.sum((p - p.mean()).conj() * (q - q.mean()))
-    turn = turn / max(abs(turn), np.finfo(float).tiny)
-    shift = q.mean() - turn * p.mean()
-    return np.abs(turn * p + shift - q), complex(turn), complex(shift)
+    rotation = np.sum((p - p.mean()).conj() * (q - q.mean()))
+    rotation = rotation / max(abs(rotation), np.finfo(float).tiny)
+    shift = q.mean() - rotation * p.mean()
+    return np.abs(rotation * p + shift - q), complex(rotation), complex(shift)

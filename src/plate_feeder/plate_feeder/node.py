@@ -511,8 +511,8 @@ class FeederNode(SafeLifecycleNode[Options]):
         """Return the most severe problem of the feeder, see `plate_core.status`."""
         feeder, quantity = self._feeder, self._feeder.quantity()
         found: list[Finding] = []
-        if silence := feeder.silence(now):
-            found.append(Finding(Level.STALE, silence))
+        if text := feeder.no_status_text(now):
+            found.append(Finding(Level.STALE, text))
         if feeder.stopped:
             found.append(Finding(Level.WARN, feeder.stopped))
         if feeder.hopper_empty:

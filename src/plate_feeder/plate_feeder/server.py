@@ -65,7 +65,7 @@ WEB = b" http/"
 must not send commands to the feeder."""
 
 Answer = Callable[[Code, str], None]
-Ask = Callable[[int, Command, Answer], None]
+OnCommand = Callable[[int, Command, Answer], None]
 
 
 class RobotServer:
@@ -77,7 +77,7 @@ class RobotServer:
         Address of the server.
     port : int
         TCP port. 0 means any free port.
-    ask : callable
+    on_command : callable
         Function that is called on the server's thread for each command. The arguments of the
         function are the number of the client, the command, and a second function that sends the
         reply. The second function must be called once, on any thread.
@@ -97,7 +97,7 @@ class RobotServer:
     """
 
     def __init__(
-        self, host: str, port: int, ask: Ask, on_disconnect: Callable[[int], None]
+        self, host: str, port: int, on_command: OnCommand, on_disconnect: Callable[[int], None]
     ) -> None:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         try:
@@ -108,7 +108,7 @@ class RobotServer:
                 f"machine ({error.strerror or error})"
             ) from None
         self.port: int = self._socket.getsockname()[1]
-        self._ask, self._on_disconnect = ask, on_disconnect
+        self._on_command, self._on_disconnect = on_command, on_disconnect
         self._count, self._tasks = 0, set[asyncio.Task[None]]()
         self._loop = asyncio.new_event_loop()
         self._stop = asyncio.Event()
@@ -145,7 +145,7 @@ class RobotServer:
         task = asyncio.current_task()
         assert task is not None
         self._count += 1
-        client = _Client(self._count, reader, writer, self._ask, self._stop)
+        client = _Client(self._count, reader, writer, self._on_command, self._stop)
         if len(self._tasks) >= MAX_CLIENTS:
             await client.refuse(f"{MAX_CLIENTS} clients are connected, which is the maximum")
             return
@@ -169,11 +169,11 @@ class _Client:
         number: int,
         reader: asyncio.StreamReader,
         writer: asyncio.StreamWriter,
-        ask: Ask,
+        on_command: OnCommand,
         stop: asyncio.Event,
     ) -> None:
         self.number = number
-        self._reader, self._writer, self._ask, self._stop = reader, writer, ask, stop
+        self._reader, self._writer, self._on_command, self._stop = reader, writer, on_command, stop
         self._queue: asyncio.Queue[Command | tuple[Code, str]] = asyncio.Queue()
         self._waiting, self._busy = 0, False
         writer.transport.set_write_buffer_limits(high=CHUNK)
@@ -287,7 +287,7 @@ class _Client:
             if not answered.done():
                 answered.set_result((code, text))
 
-        self._ask(self.number, command, answer)
+        self._on_command(self.number, command, answer)
         limit = ANSWER_S + (MAX_S if command.name in WAITING else 0)
         try:
             return await asyncio.wait_for(answered, limit)

@@ -14,8 +14,8 @@ from plate_feeder.feeder import (
     MAX_FAILURES,
     MAX_OPENINGS,
     SEEN_AGAIN_S,
-    SILENT_S,
     START_S,
+    STATUS_TIMEOUT_S,
 )
 
 RIG = load_rig("")
@@ -366,7 +366,7 @@ def test_a_planner_that_never_rests_or_says_nothing():
     reply = cell.answer()
     assert reply.code is Code.SILENT
     assert "feed_status" in reply.text
-    assert cell.t - before < SILENT_S + 3 * PERIOD_S
+    assert cell.t - before < STATUS_TIMEOUT_S + 3 * PERIOD_S
     assert cell.feeder.state(cell.t) is State.SILENT
 
 

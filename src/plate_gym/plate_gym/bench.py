@@ -56,7 +56,7 @@ def evaluate(
     seeds: Iterable[int] = range(100),
     world: str = "nominal",
     workers: int = 0,
-    tell: Callable[[str], None] = lambda text: None,
+    report: Callable[[str], None] = lambda text: None,
     keep: Callable[[dict[str, Any]], None] = lambda result: None,
     limits: Limits = LIMITS,
     pool: Executor | None = None,
@@ -74,7 +74,7 @@ def evaluate(
     workers : int
         Number of episodes that run at the same time, each in a separate process. If `workers` is 0,
         the episodes run in this process, without limits of time and memory.
-    tell : callable
+    report : callable
         Function that is called with a line of text after each task, and after each episode in which
         a limit was exceeded.
     keep : callable
@@ -117,7 +117,7 @@ def evaluate(
         missing = [seed for seed in seeds if seed not in rows]
         kept = time.monotonic()
         try:
-            for row in episodes(agent, world, task, missing, workers, tell, limits, pool):
+            for row in episodes(agent, world, task, missing, workers, report, limits, pool):
                 rows[row["seed"]] = row
                 if time.monotonic() - kept > KEEP_S:
                     result["tasks"][task] = summary([rows[seed] for seed in sorted(rows)])
@@ -127,7 +127,7 @@ def evaluate(
             if rows:
                 result["tasks"][task] = summary([rows[seed] for seed in sorted(rows)])
                 keep(result)
-        tell(line(task, result["tasks"][task]))
+        report(line(task, result["tasks"][task]))
     return result
 
 
@@ -169,7 +169,7 @@ def episodes(
     task: str,
     seeds: list[int],
     workers: int,
-    tell: Callable[[str], None] = lambda text: None,
+    report: Callable[[str], None] = lambda text: None,
     limits: Limits = LIMITS,
     pool: Executor | None = None,
 ) -> Iterator[dict[str, Any]]:
@@ -189,7 +189,7 @@ def episodes(
                 done = row.result()
                 if failure := done.get("failure"):
                     show("")
-                    tell(f"failed: {named(agent, task, done['seed'], done['steps'])}: {failure}")
+                    report(f"failed: {named(agent, task, done['seed'], done['steps'])}: {failure}")
                 yield done
         except BaseException:
             for own in found:
@@ -209,7 +209,7 @@ def show(text: str) -> None:
 
 def check(
     result: Any,
-    tell: Callable[[str], None] = lambda text: None,
+    report: Callable[[str], None] = lambda text: None,
     workers: int = 0,
     fresh: int = 0,
     world: str | None = None,
@@ -222,7 +222,7 @@ def check(
     ----------
     result
         Result of `evaluate`, as read from a JSON file.
-    tell : callable
+    report : callable
         Function that is called with lines of text: the versions that differ on this machine, and
         the progress for each task.
     workers : int
@@ -261,24 +261,26 @@ def check(
         )
     world = result["world"] if world is None else world
     chosen("world", world, WORLDS)
-    tell(f"agent {result['agent']}, commit {result['commit'] or 'unknown'}")
+    report(f"agent {result['agent']}, commit {result['commit'] or 'unknown'}")
     own = {"sources": sources(), "versions": versions(agent)}
     if "limits" in result:
         own |= {"limits": asdict(limits), "files": files(agent)}
     made, here = terms(result), terms(result | own)
     for name in here | made if "limits" in result else made:
         if made.get(name) != here.get(name):
-            tell(shortened(f"{name} is {made.get(name)} in the result, and {here.get(name)} here"))
+            report(
+                shortened(f"{name} is {made.get(name)} in the result, and {here.get(name)} here")
+            )
     # The seeds that are repeated must be unpredictable, so the generator has no fixed seed.
-    wrong, chance = [], np.random.default_rng()
+    wrong, rng = [], np.random.default_rng()
     for task, claimed in result["tasks"].items():
         rows = {row["seed"]: row for row in claimed["rows"]}
-        tell(f"{task}: the result has seeds {ranges(sorted(rows))}")
+        report(f"{task}: the result has seeds {ranges(sorted(rows))}")
         again = summary(claimed["rows"])
         if {k: list(v) if isinstance(v, tuple) else v for k, v in again.items()} != claimed:
             wrong.append(f"{task}: the summary does not match its rows")
-        run = partial(episodes, agent, task=task, workers=workers, tell=tell, limits=limits)
-        picks = sorted(chance.permutation(np.array(list(rows), object))[:CHECKED].tolist())
+        run = partial(episodes, agent, task=task, workers=workers, report=report, limits=limits)
+        picks = sorted(rng.permutation(np.array(list(rows), object))[:CHECKED].tolist())
         played = list(run(world=result["world"], seeds=picks))
         for seed, true in zip(picks, played, strict=True):
             wrong += [
@@ -287,16 +289,19 @@ def check(
                 for key, value in differing(rows[seed], true)
             ]
         took, took_here = again["decision_ms"], summary(played)["decision_ms"]
-        tell(
+        report(
             f"{task}: {len(picks)} seeds repeated, {len(wrong)} differences so far; {took:.3g} ms "
             f"per decision in the result, {took_here:.3g} ms here"
         )
         if fresh:
-            seeds = [drawn(chance) for _ in range(fresh)]
+            seeds = [drawn(rng) for _ in range(fresh)]
             found = summary(list(run(world=world, seeds=seeds)))
-            tell(f"{line(task, found)}, {world}, fresh seeds {ranges(sorted(seeds))}")
-            (low, high), (least, most) = found["success_interval"], again["success_interval"]
-            if world == result["world"] and (high < least or low > most):
+            report(f"{line(task, found)}, {world}, fresh seeds {ranges(sorted(seeds))}")
+            (low, high), (low_again, high_again) = (
+                found["success_interval"],
+                again["success_interval"],
+            )
+            if world == result["world"] and (high < low_again or low > high_again):
                 wrong.append(
                     f"{task}: success is {claimed['success']} in the result, {found['success']} "
                     "with fresh seeds"
@@ -390,12 +395,12 @@ def main() -> int:
     # at least one worker, because in this process an agent could end the program or falsify results
     if args.workers < 1:
         parser.error(f"--workers is {args.workers}, allowed: 1 or more")
-    tell = partial(print, flush=True)
+    report = partial(print, flush=True)
     try:
         limits = Limits(args.decision_limit, args.memory_limit)
         if args.check:
             wrong = check(
-                read(args.check), tell, args.workers, args.fresh or 0, args.world,
+                read(args.check), report, args.workers, args.fresh or 0, args.world,
                 args.trust or "", limits,
             )  # fmt: skip
             print("\n".join(wrong) or "the repeated seeds give the same result")
@@ -422,7 +427,7 @@ def main() -> int:
         with file or nullcontext(), pool as shared:
             evaluate(
                 agent, args.task or list(TASKS), args.seeds or range(100), world, args.workers,
-                tell, keep, limits, shared, done,
+                report, keep, limits, shared, done,
             )  # fmt: skip
     except BrokenPipeError:
         raise

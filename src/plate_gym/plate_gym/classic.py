@@ -69,18 +69,18 @@ class Classic:
         force = (self._drift(observation) - observation[:, 2:4]) / self._push
         matrix = self._library.forces(place)
         weight, _ = solve_weights(matrix, force.T.ravel(), MAX_GAIN)
-        share = np.abs(weight) * (RETURN + 1) / (RETURN - 1)
+        fraction = np.abs(weight) * (RETURN + 1) / (RETURN - 1)
         nearest = self._library.clearance(place)
         # The rotations are ordered as in section 3.1.4 of the original publication.
-        order = np.argsort(-share / nearest, kind="stable")
+        order = np.argsort(-fraction / nearest, kind="stable")
         out = np.sign(weight)[order, None] * self._library.twist[order] / RETURN
-        share = share[order] / max(1.0, float(np.sum(share)))
-        spent = np.outer(share, [RETURN, 1.0]).ravel() / (RETURN + 1)
+        fraction = fraction[order] / max(1.0, float(np.sum(fraction)))
+        spent = np.outer(fraction, [RETURN, 1.0]).ravel() / (RETURN + 1)
         twist = np.stack([out, -RETURN * out], axis=1).reshape(-1, 3)
         # The averaged map assumes that the plate always moves, and that even the smallest motion
         # causes full friction. Therefore the remaining time of the period is filled with a stroke
         # and its return stroke of equal speeds, whose mean force is 0.
-        spent = np.append(spent, np.full(2, (1 - np.sum(share)) / 2))
+        spent = np.append(spent, np.full(2, (1 - np.sum(fraction)) / 2))
         twist = np.vstack([twist, out[:1], -out[:1]])
         family = RotationFamily(twist, self._limits, PERIOD_S, SPEED_MPS)
         return family.cycle(family.parameters(spent))

@@ -155,7 +155,7 @@ class PlateVectorEnv(VectorEnv):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.render_mode = checked_mode(render_mode)
-        self._chance = [seeding.np_random()[0] for _ in range(num_envs)]
+        self._rngs = [seeding.np_random()[0] for _ in range(num_envs)]
         self._ended = np.zeros(num_envs, bool)
         self._film: Film | None = None
 
@@ -185,8 +185,8 @@ class PlateVectorEnv(VectorEnv):
         for k in rows:
             own = seeds[k]
             if own is not None:
-                self._chance[k] = seeding.np_random(own)[0]
-            worlds.append(drawn(self._chance[k]) if own is None else own)
+                self._rngs[k] = seeding.np_random(own)[0]
+            worlds.append(drawn(self._rngs[k]) if own is None else own)
         check_begun([self.plates.plates[k] for k in np.flatnonzero(~mask)])
         self._ended[mask] = False
         info = self._for_all_plates(self.plates.reset(rows, worlds), mask)
@@ -200,8 +200,8 @@ class PlateVectorEnv(VectorEnv):
         check_begun(self.plates.plates)
         count = len(actions) if np.iterable(actions) and isinstance(actions, Sized) else 0
         if count != self.num_envs:
-            said = count or repr(actions)
-            raise PlateError(f"actions are {said}, allowed: {self.num_envs} (one per plate)")
+            text = count or repr(actions)
+            raise PlateError(f"actions are {text}, allowed: {self.num_envs} (one per plate)")
         if not isinstance(actions, np.ndarray):
             actions = iterate(self.action_space, actions)
         each = checked_actions(self.single_action_space, actions)
@@ -210,7 +210,7 @@ class PlateVectorEnv(VectorEnv):
         reward = np.zeros(self.num_envs)
         ended, over = np.zeros(self.num_envs, bool), np.zeros(self.num_envs, bool)
         if len(restarted):
-            worlds = [drawn(self._chance[k]) for k in restarted]
+            worlds = [drawn(self._rngs[k]) for k in restarted]
             info = self._for_all_plates(self.plates.reset(restarted, worlds), self._ended)
         if len(rows):
             step = self.plates.step(rows, [each[row] for row in rows])
@@ -275,11 +275,11 @@ def checked_actions(space: gym.Space, actions: Iterable[Any]) -> list[Any]:
             if np.max(np.abs(close - given)) <= ROUNDING:
                 result.append(close)
                 continue
-        said = f"{given.dtype} of shape {given.shape}" if given.ndim else type(action).__name__
+        text = f"{given.dtype} of shape {given.shape}" if given.ndim else type(action).__name__
         if given.ndim and given.size and np.can_cast(given.dtype, float):
-            said += f", from {np.min(given):g} to {np.max(given):g}"
+            text += f", from {np.min(given):g} to {np.max(given):g}"
         rows = f"{space.shape}, rows from {low[0].tolist()} to {high[0].tolist()}"
-        raise PlateError(f"action is {said}, allowed: {rows if low.ndim > 1 else space}")
+        raise PlateError(f"action is {text}, allowed: {rows if low.ndim > 1 else space}")
     return result
 
 
@@ -307,9 +307,9 @@ def checked_seed(seed: Any) -> int:
     return number
 
 
-def drawn(chance: np.random.Generator) -> int:
+def drawn(rng: np.random.Generator) -> int:
     """Return a random seed for a world."""
-    return int(chance.integers(SEEDS))
+    return int(rng.integers(SEEDS))
 
 
 def first(info: dict[str, np.ndarray]) -> dict[str, Any]:

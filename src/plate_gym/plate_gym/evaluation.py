@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from plate_bringup.production import ASKS, FeederCell, Production
+from plate_bringup.production import REQUESTS, FeederCell, Production
 from plate_core import Parts, PlateCycle, PlateError, Rig, part_class
 from plate_core.tasks import AssembleTask, FeedTask, FollowTask, PoseTask, SortTask, Task
 from plate_planner.tasks import (
@@ -43,7 +43,7 @@ ROUNDING_S = 1e-6
 ROBOT_S = 2.0
 """Time between two picks of the robot that takes the parts [s]."""
 
-MAX_PICKS = 1 + int(FEED_S / ROBOT_S - (1 - ASKS))
+MAX_PICKS = 1 + int(FEED_S / ROBOT_S - (1 - REQUESTS))
 """Maximum number of parts that the robot can take during a feed task. The robot requests the first
 part at the beginning of the task."""
 
@@ -110,11 +110,11 @@ class Feeding:
         self._memory, found = self._rules.assess(self._memory, now)
         self.rests = found.request is None
         self.made = Production.of(self._cell.tally, self._cell.robot, world, self._rules.task)
-        came = [name for name in parts.ids if name not in self.ids]
+        new_ids = [name for name in parts.ids if name not in self.ids]
         stays = np.isin(self.ids, parts.ids)
         first = np.argsort(np.where(stays, 2, self.ids != ""), kind="stable")
         self.ids = np.where(stays, self.ids, "")
-        self.ids[first[: len(came)]] = came
+        self.ids[first[: len(new_ids)]] = new_ids
 
     def agent_info(self) -> dict[str, Any]:
         """Return the entries `ids`, `rests`, `order` and `waiting` of the dictionary `info` for an
@@ -275,7 +275,7 @@ class TaskEvaluator:
         if isinstance(rules, Feeder):
             return _evaluate_feeding(rules, memories)
         shape = len(states), len(names)
-        error, turn = np.zeros(shape), np.zeros(shape)
+        error, angle = np.zeros(shape), np.zeros(shape)
         near_m, near_rad = POSITION_ERROR_M, np.inf
         if isinstance(rules, Sorter):  # the rules of a sort task evaluate all plates in one call
             to_go = rules.distances(names, np.array([state.position for state in states]))
@@ -286,16 +286,16 @@ class TaskEvaluator:
                 if isinstance(rules, Assembler):
                     error[row] = np.nan_to_num(rules.distance(_parts(state)))
                 elif isinstance(memory, PoseMemory):
-                    error[row], turn[row] = rules.errors(memory, _parts(state))
+                    error[row], angle[row] = rules.errors(memory, _parts(state))
             if isinstance(rules, Poser):
                 near_rad = ANGLE_ERROR_RAD + rules.task.tolerance_rad
-        turn = np.abs(turn)
+        angle = np.abs(angle)
         labels = [part_class(name) for name in names]
         reaches = {label: self._rig.part_type(label).reach_m for label in set(labels)}
         reach = np.array([reaches[label] for label in labels])
-        there = (error <= near_m) & (turn <= near_rad)
-        to_go, never = np.sum(error + reach * turn, axis=1), np.zeros(len(states), bool)
-        return Score(error, turn, there, to_go, np.all(there, axis=1), never)
+        there = (error <= near_m) & (angle <= near_rad)
+        to_go, never = np.sum(error + reach * angle, axis=1), np.zeros(len(states), bool)
+        return Score(error, angle, there, to_go, np.all(there, axis=1), never)
 
 
 def _evaluate_paths(rules: Follower, memories: list[Memory], states: list[WorldState]) -> Score:

@@ -35,10 +35,10 @@ bytes."""
 ALIVE = b".\n"
 """Line that a supervisor sends when it begins, and about every second during an episode."""
 
-START_S, SILENT_S = 300.0, 60.0
+START_S, REPLY_TIMEOUT_S = 300.0, 60.0
 """`START_S` is the time in which a supervisor must start [s]. The time is long, because loading the
-libraries takes half a minute on a busy computer. `SILENT_S` is the maximum time between two lines
-that a supervisor sends [s]."""
+libraries takes half a minute on a busy computer. `REPLY_TIMEOUT_S` is the maximum time between two
+lines that a supervisor sends [s]."""
 
 ENDING_S = 15.0
 """Time in which a supervisor must end all its processes and itself [s]."""
@@ -95,7 +95,7 @@ class Supervisor:
             env=os.environ | ALIKE | {MARK: self._mark},
         )  # fmt: skip
 
-    def ask(self, request: dict[str, Any]) -> dict[str, Any]:
+    def call(self, request: dict[str, Any]) -> dict[str, Any]:
         """Send a request to the supervisor, and return its reply. If the supervisor has ended, the
         reply contains the key `error`."""
         assert self._process.stdin is not None
@@ -111,7 +111,7 @@ class Supervisor:
         assert self._process.stdout is not None
         received = b""
         while len(received) < REPLY_BYTES:
-            wait_s = SILENT_S if self._begun else START_S
+            wait_s = REPLY_TIMEOUT_S if self._begun else START_S
             if not select.select([self._process.stdout], [], [], wait_s)[0]:
                 raise OSError(f"no message within {wait_s:g} s")
             data = self._process.stdout.read(REPLY_BYTES)
@@ -125,7 +125,7 @@ class Supervisor:
         raise OSError("its reply is too long")
 
     def end(self) -> None:
-        """End the supervisor and its processes. If another thread waits in `ask`, its call then
+        """End the supervisor and its processes. If another thread waits in `call`, its call then
         returns."""
         process = self._process
         assert process.stdin is not None
@@ -194,7 +194,7 @@ def play(request: dict[str, Any], limits: Limits) -> dict[str, Any]:
         supervisor = Supervisor()
         _all.append(supervisor)
     place = {"path": sys.path, "folder": os.getcwd(), "limits": asdict(limits)}
-    reply = supervisor.ask(request | place)
+    reply = supervisor.call(request | place)
     if supervisor.ended:
         supervisor.close()
         _all.remove(supervisor)

@@ -349,8 +349,8 @@ class Plates:
         largest fraction of a limit that each cycle uses, and whether each cycle was scaled down."""
         if self.action == "motion":
             return *self.motions.cycles(np.array(actions, float)), False
-        cycles, shares, scaled = zip(*self._each(Plate.answer, plates, actions), strict=True)
-        return cycles, shares, scaled
+        cycles, uses, scaled = zip(*self._each(Plate.answer, plates, actions), strict=True)
+        return cycles, uses, scaled
 
     def _update_observations(self, plates: Sequence[Plate]) -> None:
         """Compute the observations of plates at the start of their running cycles."""

@@ -164,7 +164,7 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 def line(task: str, found: dict[str, Any]) -> str:
     """Return the summary of a task as one line of text."""
-    low, high = (100 * share for share in found["success_interval"])
+    low, high = (100 * bound for bound in found["success_interval"])
     took = f"{found['time_s']:6.1f} s" if "time_s" in found else "     - s"
     return (
         f"{task:12s} {100 * found['success']:4.0f} % ({low:.0f} to {high:.0f})  {took}  return "

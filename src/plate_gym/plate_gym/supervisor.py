@@ -332,12 +332,12 @@ def _kill_all() -> set[int]:
     return ran
 
 
-def _limit(kind: int, most: int) -> None:
-    """Set the resource limit `kind` of this process to `most`, unless a lower limit is already
+def _limit(kind: int, limit: int) -> None:
+    """Set the resource limit `kind` of this process to `limit`, unless a lower limit is already
     set."""
     present = resource.getrlimit(kind)[0]
-    if present == resource.RLIM_INFINITY or present > most:
-        resource.setrlimit(kind, (most, most))
+    if present == resource.RLIM_INFINITY or present > limit:
+        resource.setrlimit(kind, (limit, limit))
 
 
 def _tasks_of_user() -> int:

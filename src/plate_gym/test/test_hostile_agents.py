@@ -126,7 +126,7 @@ def hostile(bench, tmp_path, monkeypatch):
         limits = bench.Limits(decision_s=10, memory_gb=1)
         messages = []
         found = bench.evaluate(
-            f"hostile:{name}", "Sort4-v1", [3], workers=1, tell=messages.append, limits=limits
+            f"hostile:{name}", "Sort4-v1", [3], workers=1, report=messages.append, limits=limits
         )
         return found, messages
 

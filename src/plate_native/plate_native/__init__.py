@@ -91,9 +91,9 @@ class CompileKernels(build_ext):
         made = Path(self.build_temp, re.sub(r"[^\w]+", "_", str(source))).with_suffix(".o")
         own = ("-Os", "-w") if source.name == "nb_combined.cpp" else WARNINGS
         compiler = os.environ.get("CXX", "c++").split()
-        words = [*compiler, *OPTIONS, *own, *os.environ.get("CXXFLAGS", "").split()]
+        command = [*compiler, *OPTIONS, *own, *os.environ.get("CXXFLAGS", "").split()]
         python = [sys.version, sysconfig.get_path("include")]
-        first = cache.key_of(*words, *python, _compiler(*words), _named(str(source), places))
+        first = cache.key_of(*command, *python, _compiler(*command), _named(str(source), places))
         folders = [Path(self.build_temp, "kept"), cache.of_user()]
         made.parent.mkdir(parents=True, exist_ok=True)
         # first read the list of the object's source files, then compute their digest
@@ -106,7 +106,7 @@ class CompileKernels(build_ext):
         rules, begun = made.with_suffix(".d"), time.time()
         with _whole(made) as part:
             self.spawn(
-                [*words, *include, "-MMD", "-MF", str(rules), "-c", str(source), "-o", str(part)]
+                [*command, *include, "-MMD", "-MF", str(rules), "-c", str(source), "-o", str(part)]
             )
         read = _files_read(rules, places)
         key = _key(first, read, places, since=begun)
@@ -132,8 +132,8 @@ def _files_read(rules: Path, places: dict[str, Path]) -> bytes:
     """Return the files that a compiler has read, one per line. The names are extracted from the
     make rule that the compiler writes."""
     text = os.fsdecode(rules.read_bytes()).replace("\\\n", " ").partition(":")[2]
-    words = (word.replace("\\ ", " ") for word in re.findall(r"(?:\\ |\S)+", text))
-    return os.fsencode("\n".join(_named(word, places) for word in words))
+    files = (word.replace("\\ ", " ") for word in re.findall(r"(?:\\ |\S)+", text))
+    return os.fsencode("\n".join(_named(word, places) for word in files))
 
 
 def _key(first: str, read: bytes, places: dict[str, Path], since: float = math.inf) -> str:

@@ -78,10 +78,10 @@ def keep(folder: Path, key: str, content: bytes) -> None:
                 entry.unlink()
 
 
-def compiler(words: list[str]) -> bytes:
+def compiler(command_line: list[str]) -> bytes:
     """Return a text that identifies a C++ compiler by its version, its target, and its search path
     of headers."""
-    command = [*words, "-v", "-E", "-x", "c++", os.devnull]
+    command = [*command_line, "-v", "-E", "-x", "c++", os.devnull]
     try:
         return subprocess.run(command, capture_output=True, check=False).stderr
     except FileNotFoundError:  # the compilation will report this error
@@ -98,7 +98,7 @@ def _key_of_messages(package: Path, root: str) -> str:
     compilers = [os.environ.get("CC", "cc"), os.environ.get("CXX", "c++")]
     return key_of(
         sys.base_prefix, sys.version, *env, Path(__file__).read_bytes(), *scripts,
-        *[compiler(words.split()) for words in compilers],
+        *[compiler(command.split()) for command in compilers],
         *[line for p in tools for line in p.read_text().splitlines() if "/bin/" not in line],
         *[part for p in files for part in (str(p.relative_to(package)), p.read_bytes())],
     )  # fmt: skip

@@ -15,7 +15,7 @@ from .access import Role
 MAX_TEXT = 200
 """Maximum number of characters of a name or a value."""
 
-LARGEST = 1e10
+MAX_ABS = 1e10
 """Maximum magnitude of a number in a command. The maximum is larger than a stamp of the wall clock,
 which is about 1.8e9 s."""
 
@@ -82,7 +82,7 @@ def read_command(text: str | bytes, role: Role) -> Command:
 def number_of(data: Any) -> int:
     """Return the number of a command. Return -1 if the command has no number."""
     number = data.get("number") if isinstance(data, dict) else None
-    if isinstance(number, int) and not isinstance(number, bool) and 0 <= number <= LARGEST:
+    if isinstance(number, int) and not isinstance(number, bool) and 0 <= number <= MAX_ABS:
         return number
     return -1
 
@@ -104,8 +104,8 @@ def _flag(where: str, value: Any) -> bool:
 
 def _number(where: str, value: Any) -> float:
     numeric = isinstance(value, int | float) and not isinstance(value, bool)
-    if not (numeric and abs(value) <= LARGEST):
-        raise _wrong(where, value, f"a number up to {LARGEST:g}")
+    if not (numeric and abs(value) <= MAX_ABS):
+        raise _wrong(where, value, f"a number up to {MAX_ABS:g}")
     return float(value)
 
 
@@ -134,9 +134,9 @@ def _value(where: str, value: Any) -> bool | int | float | str:
     return _number(where, value)
 
 
-def _list(where: str, value: Any, least: int, most: int) -> list[Any]:
-    if not isinstance(value, list) or not least <= len(value) <= most:
-        raise _wrong(where, value, f"a list of {least} to {most}")
+def _list(where: str, value: Any, min_count: int, max_count: int) -> list[Any]:
+    if not isinstance(value, list) or not min_count <= len(value) <= max_count:
+        raise _wrong(where, value, f"a list of {min_count} to {max_count}")
     return value
 
 

@@ -30,7 +30,7 @@ from .field import drift, grid, mean_force
 SAMPLES = 65
 """Number of samples of a cycle's motion."""
 
-FAR_HALVES = 3.0
+MAX_HALVES = 3.0
 """Maximum distance between the plate's centre and a displayed centre of rotation, in half lengths
 of the plate."""
 
@@ -82,9 +82,9 @@ def type_scene(kind: PartType) -> Scene:
 
 
 def parts_scene(
-    rig: Rig, stamp: float, parts: Parts, scatter: np.ndarray, seen: Sequence[bool]
+    rig: Rig, stamp: float, parts: Parts, deviation: np.ndarray, seen: Sequence[bool]
 ) -> Scene:
-    """Return the parts of an image. `scatter` (M, 3) are standard deviations [m, m, rad]. A value
+    """Return the parts of an image. `deviation` (M, 3) are standard deviations [m, m, rad]. A value
     is NaN if it is unknown."""
     return {
         "kind": "parts",
@@ -96,7 +96,7 @@ def parts_scene(
                 "sd": spread if np.all(np.isfinite(spread)) else None, "seen": bool(there),
             }
             for name, (x, y), angle, spread, there in zip(
-                parts.ids, _rounded(parts.position), _rounded(parts.angle), _rounded(scatter, 7),
+                parts.ids, _rounded(parts.position), _rounded(parts.angle), _rounded(deviation, 7),
                 seen, strict=True,
             )
         ],
@@ -139,7 +139,7 @@ def cycle_scene(rig: Rig, stamp: float, cycle: PlateCycle, field: bool) -> Scene
     pose, twist = cycle.pose(t), cycle.twist(t)
     with np.errstate(all="ignore"):
         centre = pose[:, :2] + np.stack([-twist[:, 1], twist[:, 0]], axis=1) / twist[:, 2:]
-    near = np.max(np.abs(centre), axis=1) < FAR_HALVES * rig.plate.half.max()
+    near = np.max(np.abs(centre), axis=1) < MAX_HALVES * rig.plate.half.max()
     sense = np.sign(twist[near, 2:])
     return {
         "kind": "cycle",

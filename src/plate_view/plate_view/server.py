@@ -187,8 +187,8 @@ class Socket(tornado.websocket.WebSocketHandler):
         if self.page.is_late():
             return "the page was stalled; send the command again"
         if self.open_commands >= MAX_OPEN or self.page.open_commands >= MAX_TOTAL:
-            most = f"{MAX_OPEN} of this page, {MAX_TOTAL} of all pages"
-            return f"too many commands wait for replies, allowed: {most}"
+            allowed = f"{MAX_OPEN} of this page, {MAX_TOTAL} of all pages"
+            return f"too many commands wait for replies, allowed: {allowed}"
         return ""
 
     def _spend(self, price: float = 1.0) -> bool:
@@ -329,7 +329,7 @@ class PageServer:
         shown = f"[{host}]" if ":" in host else host
         return f"http://{shown}:{self.port}/"
 
-    def wants(self, what: str) -> bool:
+    def is_displayed(self, what: str) -> bool:
         """Whether at least one browser displays this kind of data."""
         return any(browser.watches[what] for browser in tuple(self.browsers))
 

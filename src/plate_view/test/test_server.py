@@ -169,7 +169,7 @@ def test_images_and_fields_go_only_to_browsers_that_watch_them(server):
             await asyncio.sleep(0.01)
 
     def wanted():
-        return [kind for kind in kinds[:3] if server.wants(kind)]
+        return [kind for kind in kinds[:3] if server.is_displayed(kind)]
 
     async def talk():
         one, other = await opened(server), await opened(server)

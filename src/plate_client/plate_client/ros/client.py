@@ -36,10 +36,10 @@ from plate_interfaces.msg import Targets, TaskProgress, TaskStatus
 
 from ..messages import spin_until
 
-FOUND_S = 5.0
+DISCOVERY_S = 5.0
 """Maximum time for the discovery of the planner [s]."""
 
-SILENT_S = 2.0
+TIMEOUT_S = 2.0
 """Maximum time without feedback on a running task [s]. After this time, the client assumes that the
 planner has ended."""
 
@@ -247,7 +247,7 @@ class PlateClient:
         else:
             name, goal = action_name(task), task
         client = self._clients[name]
-        end = time.monotonic() + FOUND_S
+        end = time.monotonic() + DISCOVERY_S
         while not self._until(client.server_is_ready, AGAIN_S):
             if time.monotonic() > end:
                 raise PlateError(f"there is no action {name} in this ROS domain; start the planner")
@@ -270,7 +270,7 @@ class PlateClient:
         PlateError
             If no planner is found.
         """
-        if not self._until(lambda: self._targets.get_subscription_count() > 0, FOUND_S):
+        if not self._until(lambda: self._targets.get_subscription_count() > 0, DISCOVERY_S):
             raise PlateError("no node in this ROS domain subscribes to targets; start the planner")
         self._targets.publish(targets_to_msg(targets, self.node.get_clock().now().to_msg()))
 
@@ -288,13 +288,13 @@ class PlateClient:
         PlateError
             If the task does not end in time, or if the planner stops sending feedback.
         """
-        end, feedbacks, silent_s = time.monotonic() + timeout_s, task.feedbacks, 0.0
+        end, feedbacks, waited_s = time.monotonic() + timeout_s, task.feedbacks, 0.0
         while not self._until(lambda: task.ended, AGAIN_S):
-            silent_s = silent_s + AGAIN_S if task.feedbacks == feedbacks else 0.0
+            waited_s = waited_s + AGAIN_S if task.feedbacks == feedbacks else 0.0
             feedbacks = task.feedbacks
-            if silent_s > SILENT_S:
+            if waited_s > TIMEOUT_S:
                 raise PlateError(
-                    f"the planner has sent no message for {SILENT_S:g} s, so it hangs or has "
+                    f"the planner has sent no message for {TIMEOUT_S:g} s, so it hangs or has "
                     "ended; the result of the task is unknown"
                 )
             if time.monotonic() > end:
@@ -307,7 +307,7 @@ class PlateClient:
     def start(
         self,
         scenario: Scenario | Any,
-        ready_timeout_s: float = FOUND_S,
+        ready_timeout_s: float = DISCOVERY_S,
         waiting: Callable[[str], None] = lambda why: None,
     ) -> Task:
         """Send a goal. If the graph is not ready, the goal is sent again for at most
@@ -322,7 +322,7 @@ class PlateClient:
         while True:
             task = self.send(scenario, waiting)
             try:
-                for _ in range(round(FOUND_S / AGAIN_S)):
+                for _ in range(round(DISCOVERY_S / AGAIN_S)):
                     if self._until(task.has_begun, AGAIN_S):
                         break
                     task.send_again()
@@ -332,7 +332,7 @@ class PlateClient:
             if not task.accepted:
                 task.cancel()  # cancel the goal in case it still arrives
                 raise PlateError(
-                    f"the planner has not answered the goal within {FOUND_S:g} s; it may hang"
+                    f"the planner has not answered the goal within {DISCOVERY_S:g} s; it may hang"
                 )
             if task.status is None or task.status.reason not in REFUSED:
                 return task

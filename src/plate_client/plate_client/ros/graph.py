@@ -22,7 +22,7 @@ from plate_core.tasks import Scenario, load_scenario
 from plate_interfaces.msg import DriverStatus, Friction, TaskStatus
 from plate_interfaces.srv import MeasureFriction
 
-from .client import AGAIN_S, SILENT_S, PlateClient, Task, TaskError
+from .client import AGAIN_S, TIMEOUT_S, PlateClient, Task, TaskError
 from .services import DISCOVERY_S, Services, no_graph_text
 
 PROGRESS_S = 2.0
@@ -41,7 +41,7 @@ AT_FIRST_S = 0.5
 """Minimum time for which a task must wait before the reason is printed [s]."""
 
 
-class SilentError(PlateError):
+class NoReportError(PlateError):
     """Error: the driver no longer reports that it measures."""
 
 
@@ -155,7 +155,7 @@ class Graph(Services):
             answer = self._call(MeasureFriction, "measure_friction", start, once=True)
             if answer.success:
                 self._await_friction(received, drivers, answer.started)
-        except (KeyboardInterrupt, OSError, SilentError):
+        except (KeyboardInterrupt, OSError, NoReportError):
             # An OSError is raised if the output was closed.
             self._call(MeasureFriction, "measure_friction", end)
             raise
@@ -187,10 +187,10 @@ class Graph(Services):
 
         Raises
         ------
-        SilentError
+        NoReportError
             If the driver no longer reports that it measures.
         """
-        text, reports, silent_s = "", 0, 0.0
+        text, reports, waited_s = "", 0, 0.0
 
         def over() -> bool:
             nonlocal text
@@ -203,15 +203,15 @@ class Graph(Services):
 
         while not self._until(over, AGAIN_S):
             measuring = sum(msg.state == DriverStatus.CALIBRATING for msg in drivers)
-            silent_s = silent_s + AGAIN_S if len(received) + measuring == reports else 0.0
+            waited_s = waited_s + AGAIN_S if len(received) + measuring == reports else 0.0
             reports = len(received) + measuring
-            if silent_s > SILENT_S:
+            if waited_s > TIMEOUT_S:
                 why = (
-                    f"the driver has reported no measurement for {SILENT_S:g} s, so it hangs, has "
+                    f"the driver has reported no measurement for {TIMEOUT_S:g} s, so it hangs, has "
                     "ended or was restarted"
                 )
                 print(f"  {why}; canceling the measurement", flush=True)
-                raise SilentError(f"{why}. Check whether the plate is at rest")
+                raise NoReportError(f"{why}. Check whether the plate is at rest")
 
     # State
 
@@ -227,18 +227,18 @@ class Graph(Services):
         self.node.create_subscription(DiagnosticArray, "diagnostics", on_report, DATA)
         if self._until(lambda: bool(self._seen()), DISCOVERY_S):
             self._until(lambda: False, REPORT_S)
-            self._until(lambda: not self._silent(reports), LATE_S)
-        silent = self._silent(reports)
+            self._until(lambda: not self._without_reports(reports), LATE_S)
+        missing = self._without_reports(reports)
         if not self._seen() and not self._texts:
             raise PlateError(no_graph_text())
         lines = [f"{topic}: {self._texts.get(topic, 'no message')}" for topic in topics]
         nodes = {name: f"{each.level.name}, {each.message}" for name, each in reports.items()}
-        nodes |= dict.fromkeys(silent, "no message yet: the node is starting, or it hangs")
-        if silent:
+        nodes |= dict.fromkeys(missing, "no message yet: the node is starting, or it hangs")
+        if missing:
             lines.append("some nodes have sent no message; other nodes may wait for them")
         return "\n".join([*lines, *(f"  {name}: {text}" for name, text in sorted(nodes.items()))])
 
-    def _silent(self, reports: dict[str, Report]) -> list[str]:
+    def _without_reports(self, reports: dict[str, Report]) -> list[str]:
         """Return the nodes that have a publisher of diagnostics but have not published yet. A node
         without diagnostics is starting or does not respond."""
         topic = self.node.resolve_topic_name("diagnostics")
@@ -271,11 +271,11 @@ class Graph(Services):
             raise PlateError(f"no node {name!r} runs{hint}; running nodes: {listed}")
         return [name]
 
-    def _node(self, args: argparse.Namespace, *words: str) -> str:
+    def _node(self, args: argparse.Namespace, *names: str) -> str:
         """Return the name of the node in `args`. Raise PlateError if the node does not run or if an
-        argument in `words` is missing."""
-        if any(getattr(args, word) is None for word in words):
-            usage, listed = " ".join(words).upper(), ", ".join(self._nodes(None))
+        argument in `names` is missing."""
+        if any(getattr(args, word) is None for word in names):
+            usage, listed = " ".join(names).upper(), ", ".join(self._nodes(None))
             raise PlateError(f"{args.command} requires {usage}; running nodes: {listed}")
         (node,) = self._nodes(args.node)
         return node

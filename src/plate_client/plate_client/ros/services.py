@@ -23,7 +23,7 @@ from ..messages import spin_until
 DISCOVERY_S = 1.0
 """Maximum time for the discovery of any node [s]."""
 
-FOUND_S = 3.0
+SERVICE_TIMEOUT_S = 3.0
 """Maximum time for the discovery of a service [s]."""
 
 ANSWER_S = 15.0
@@ -181,7 +181,10 @@ class Services:
             return urgent or client.service_is_ready() or bool(self._seen())
 
         cut = "; cut the power by hand" if urgent else ""
-        if not (self._until(there, DISCOVERY_S) and self._until(client.service_is_ready, FOUND_S)):
+        if not (
+            self._until(there, DISCOVERY_S)
+            and self._until(client.service_is_ready, SERVICE_TIMEOUT_S)
+        ):
             raise PlateError(self._missing(service) + cut)
         again_s = ANSWER_S if once else AGAIN_S
         answers: list[Any] = []
@@ -210,12 +213,12 @@ class Services:
 
     def _seen(self) -> list[str]:
         """Return the names of the nodes in this namespace."""
-        ours = self.node.get_namespace()
+        own = self.node.get_namespace()
         found = self.node.get_node_names_and_namespaces()
         return sorted(  # names that begin with _ belong to hidden nodes, such as the ros2 daemon
             name
             for name, where in found
-            if name != NAME and where == ours and not name.startswith("_")
+            if name != NAME and where == own and not name.startswith("_")
         )
 
     def _until(self, true: Callable[[], bool], timeout_s: float) -> bool:
@@ -227,9 +230,9 @@ class Services:
 def no_graph_text() -> str:
     """Return the error text for the case that no graph is running. The text lists the ROS domains
     that are in use on this machine."""
-    ours = ros_domain(os.environ)
-    others = sorted(domains_in_use() - {ours})
-    text = f"no graph runs in ROS domain {ours}"
+    own = ros_domain(os.environ)
+    others = sorted(domains_in_use() - {own})
+    text = f"no graph runs in ROS domain {own}"
     if others:
         listed = ", ".join(map(str, others))
         text += (

@@ -100,17 +100,17 @@ class FeedGoal:
 
     def _on_answer(self, number: int, again: bool, future: Any) -> None:
         handle = future.result()
-        wanted = self._sent and number == self._number
-        if wanted and self.runs:
+        is_newest = self._sent and number == self._number
+        if is_newest and self.runs:
             return
         # rclpy refuses a goal that is sent again with the same id
         if handle is not None and (handle.accepted or again):
             handle.get_result_async().add_done_callback(lambda done: self._on_end(number, done))
-            if wanted:
+            if is_newest:
                 self._handle, self.runs = handle, True
             else:
                 handle.cancel_goal_async()
-        elif wanted:
+        elif is_newest:
             self._over(TaskStatus(text="the planner refused the goal"))
 
     def _on_end(self, number: int, future: Any) -> None:

@@ -106,12 +106,14 @@ class Listener:
         subscriptions."""
         some = bool(self._server.browsers)
         for name, topic in TOPICS.items():
-            wanted = some and (not topic.watched or any(map(self._server.wants, topic.watched)))
-            if wanted and name not in self._listening:
+            needed = some and (
+                not topic.watched or any(map(self._server.is_displayed, topic.watched))
+            )
+            if needed and name not in self._listening:
                 self._listening[name] = self._node.create_subscription(
                     topic.kind, name, partial(self.receive, name), topic.qos
                 )
-            elif not wanted:
+            elif not needed:
                 self._ignore(name)
 
     def close(self) -> None:
@@ -215,7 +217,7 @@ class Listener:
         ]
         self._publish({"kind": "truth", "parts": parts})
 
-    def _show_wanted(self, msg: PartForces) -> None:
+    def _show_request(self, msg: PartForces) -> None:
         self._publish(request_scene(self._rig, seconds(msg.header.stamp), msg_to_request(msg)))
 
     def _show_targets(self, msg: Targets) -> None:
@@ -226,20 +228,20 @@ class Listener:
         self._publish({"kind": "targets", "targets": targets})
 
     def _show_cycle(self, msg: JointTrajectory) -> None:
-        cycle, field = msg_to_cycle(msg), self._server.wants("field")
+        cycle, field = msg_to_cycle(msg), self._server.is_displayed("field")
         self._publish(cycle_scene(self._rig, seconds(msg.header.stamp), cycle, field))
         self._publish(motors_scene(self._rig, cycle))
 
     def _show_image(self, msg: Image) -> None:
-        if not any(map(self._server.wants, TOPICS["image_raw"].watched)):
+        if not any(map(self._server.is_displayed, TOPICS["image_raw"].watched)):
             return  # ignore images that no browser shows; a replay also delivers such images
         image, stamp = image_to_array(msg), seconds(msg.header.stamp)
         image = image[..., ::-1] if msg.encoding == "rgb8" else image
         now = time.monotonic()
-        if self._server.wants("camera") and now - self._camera_at >= CAMERA_S:
+        if self._server.is_displayed("camera") and now - self._camera_at >= CAMERA_S:
             self._camera_at = now
             self._publish(camera_scene(stamp, image), keep=False)
-        if self._server.wants("image"):
+        if self._server.is_displayed("image"):
             picture = np.float64(stamp).tobytes() + self._view.jpeg(image)
             self._server.publish("image", picture, keep=False)
 
@@ -297,7 +299,7 @@ class Topic(NamedTuple):
 TOPICS: Mapping[str, Topic] = {
     "parts": Topic(Parts, DATA, Listener._show_parts),
     "ground_truth": Topic(Parts, DATA, Listener._show_truth),
-    "part_forces": Topic(PartForces, DATA, Listener._show_wanted),
+    "part_forces": Topic(PartForces, DATA, Listener._show_request),
     "part_targets": Topic(Targets, LATCHED, Listener._show_targets),
     "cycle_started": Topic(JointTrajectory, DATA, Listener._show_cycle),
     "motor_setpoints": Topic(JointTrajectory, DATA, Listener._on_setpoints, at_once=True),

@@ -48,7 +48,7 @@ from .caller import ANSWER_S, Caller
 from .listener import Listener
 from .pending import PendingCommand
 
-FOUND_S = 2.0
+DISCOVERY_TIMEOUT_S = 2.0
 """Maximum time for the discovery of an action server [s]."""
 
 MOVE_TOLERANCE_M = 0.001
@@ -224,9 +224,11 @@ class Operator:
 
         message = Parameter(name, value=value).to_parameter_msg()
         request = SetParameters.Request(parameters=[message])
-        self._call(pending, SetParameters, f"{self._found(node)}/set_parameters", request, on_reply)
+        self._call(
+            pending, SetParameters, f"{self._existing(node)}/set_parameters", request, on_reply
+        )
 
-    def _found(self, name: str) -> str:
+    def _existing(self, name: str) -> str:
         """Return the name of an existing node. The page creates no service clients for other
         names."""
         here = self._node.get_namespace()
@@ -243,7 +245,7 @@ class Operator:
         if node in self._requests:
             self._requests[node].append(pending)
         else:
-            self._request_parameters(pending, self._found(node))
+            self._request_parameters(pending, self._existing(node))
 
     def _request_parameters(
         self, pending: PendingCommand, node: str, others: Sequence[PendingCommand] = ()
@@ -306,7 +308,7 @@ class Operator:
     def _send(self, pending: PendingCommand, name: str, goal: Any) -> None:
         """Send a goal. Reply when the goal is executed. If the goal is not executed, reply with the
         reason."""
-        client, end = self._actions[name], time.monotonic() + FOUND_S
+        client, end = self._actions[name], time.monotonic() + DISCOVERY_TIMEOUT_S
         before: Goal | None = None
         own = Goal(goal_to_scenario(goal).task)
         replied: list[bool] = []
@@ -433,8 +435,8 @@ class Operator:
             known = None if self._goal is None else self._goal.task
             if known is None and self._expected is not None:
                 known = self._expected.task
-            theirs = running and known is not None and KINDS.get(type(known)) == running
-            self._server.publish("paths", task_scene(self._rig, known if theirs else None))
+            same_kind = running and known is not None and KINDS.get(type(known)) == running
+            self._server.publish("paths", task_scene(self._rig, known if same_kind else None))
         if self._waiting is not None and running == "move":
             targets, self._waiting = self._waiting, None
             self._send_targets(targets)

@@ -10,7 +10,7 @@ from ..calls import call_text
 from ..commands import Command
 from ..server import PageServer, Socket
 
-QUIET = ("parameters",)
+UNLOGGED = ("parameters",)
 """Commands that are not shown in the page's log, because they change nothing."""
 
 
@@ -48,7 +48,7 @@ class PendingCommand:
         """Reply to the browser. Show the equivalent call to all browsers."""
         self.answered(ok, text)
         self._server.answer(self._browser, self.command.number, ok, text)
-        if self.command.name in QUIET or (self.values.get("dragging") and not self.call):
+        if self.command.name in UNLOGGED or (self.values.get("dragging") and not self.call):
             return
         scene = {
             "kind": "call", "time": time.time(), "who": self._browser.request.remote_ip,
