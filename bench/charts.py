@@ -63,7 +63,7 @@ def main() -> int:
             return 1
         try:
             with on_cluster(args.cluster):
-                failed = run_all(lacking, args.quick, folder, quiet=own)
+                failed = run_all(lacking, args.quick, folder, when_idle=own)
         except PlateError as error:
             print(f"error: {error}", file=sys.stderr)
             return 1

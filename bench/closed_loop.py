@@ -163,9 +163,9 @@ def _conclusion(rows: list[dict]) -> str:
         text += (
             f"; RMS median {all_runs['rms_mm']:.3f} mm, maximum {all_runs['worst_rms_mm']:.3f} mm"
         )
-    turns = [row["turn_error_deg"] for row in rows if row["turn_error_deg"] is not None]
-    if turns:
-        text += f"; angle error median {np.median(turns):.2f} deg, maximum {max(turns):.2f} deg; "
+    angles = [row["turn_error_deg"] for row in rows if row["turn_error_deg"] is not None]
+    if angles:
+        text += f"; angle error median {np.median(angles):.2f} deg, maximum {max(angles):.2f} deg; "
         text += f"centre error maximum {all_runs['max_mm']:.3f} mm"
     return text
 

@@ -20,7 +20,7 @@ from short_task import short_task
 
 from harness import MEASUREMENTS, Result, of_median, of_rate, rate_text
 from harness.measurements import MAX_CORES, busy_cores
-from harness.result import WORDS
+from harness.result import TEXTS
 from plate_core import load_rig
 
 BENCH = Path(__file__).resolve().parents[1] / "bench"
@@ -96,7 +96,7 @@ def test_a_second_call_runs_only_the_missing_seeds(tiny, runs, capsys):
     assert second[0] == first[0]  # with its computing times
     assert without_timings(second) == without_timings(runs[0])
     out = capsys.readouterr().out
-    assert "1 of them are in" in out
+    assert "1 of these runs are already in" in out
     assert "seed    3" not in out
     assert tiny(file="continued.json", seeds="4:5") == second
 
@@ -175,10 +175,10 @@ def test_every_table_has_its_words_and_gives_the_facts_in_them():
             given = named | (in_dicts if None in named else set())
             key = ast.literal_eval(call.args[0])
             used.add(key)
-            text = WORDS[key]["title"] + WORDS[key].get("note", "")
+            text = TEXTS[key]["title"] + TEXTS[key].get("note", "")
             wanted = {name.split("[")[0] for _, name, _, _ in Formatter().parse(text) if name}
             assert wanted <= given, key
-    assert used == set(WORDS)
+    assert used == set(TEXTS)
 
 
 @pytest.mark.parametrize("chapter", ["stages", "tasks"])

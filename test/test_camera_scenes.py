@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from harness.result import WORDS
+from harness.result import TEXTS
 from plate_bringup.loop import Setup, with_settings, with_setup_camera
 from plate_core import load_rig
 from plate_core.rig import camera_place, camera_pose, to_image
@@ -82,8 +82,8 @@ def test_a_row_counts_what_is_found():
     assert row["false"] == 0
     assert row["worst_mm"] < 0.1
     assert row["reported"] is None
-    assert set(WORDS["views"]["columns"]) == set(row)
-    assert all(isinstance(key, str) for key in WORDS["views"]["columns"])
+    assert set(TEXTS["views"]["columns"]) == set(row)
+    assert all(isinstance(key, str) for key in TEXTS["views"]["columns"])
 
 
 def test_unknown_heights_are_in_the_image_alone():

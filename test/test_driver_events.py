@@ -9,7 +9,7 @@ import pytest
 from cuts import cut
 from shaking import shaking
 
-from harness.serial import Judge, opened
+from harness.serial import PlateCheck, opened
 from plate_core import CycleError, PlateCycle, PlateError, load_rig
 from plate_core.driver_status import DriverReason, DriverState
 from plate_core.serial_protocol import State
@@ -47,7 +47,11 @@ class Driver:
     stalled_until: float = 0.0
 
     def __post_init__(self):
-        self.rng, self.judge, self.latch = np.random.default_rng(self.seed), Judge(RIG), Latch()
+        self.rng, self.judge, self.latch = (
+            np.random.default_rng(self.seed),
+            PlateCheck(RIG),
+            Latch(),
+        )
         self.emulator = Emulator(DeviceLimits.of_rig(RIG), self.seed, FaultSchedule(), self.see)
         serial = SerialTransport(
             lambda: opened(self.emulator), self.time, self.seed, self.streams, limits=RIG.limits

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 from photographs import evaluate, fetch, finders, pictures, taught
-from photographs.finders import FOUND
+from photographs.finders import FINDING
 from photographs.pictures import HALVES, TRUTH, Photograph, load_photographs
 
 LICENCES = {
@@ -28,7 +28,7 @@ def photograph(parts=(), ignore=(), plate=None, **of):
 
 
 def found(*rows):
-    return np.array([(*row, np.nan, "") if len(row) == 3 else row for row in rows], FOUND)
+    return np.array([(*row, np.nan, "") if len(row) == 3 else row for row in rows], FINDING)
 
 
 def disc(x, y, radius, label="disc", touching=False):
@@ -58,8 +58,8 @@ def test_no_part_is_marked_twice_and_none_is_ignored():
 
 
 def as_found(parts):
-    rows = np.zeros(len(parts), FOUND)
-    for name in FOUND.names:
+    rows = np.zeros(len(parts), FINDING)
+    for name in FINDING.names:
         rows[name] = parts[name]
     return rows
 

@@ -43,21 +43,21 @@ def chart():
     """A chart with a panel of every kind: points and a front, names, a field with a line on it."""
     from report.axis import Axis
     from report.chart import Chart, Sheet
-    from report.panels import Look, Panels
+    from report.panels import Panels, Style
 
     x, y, panels = Axis("x [m]", log=True), Axis("y [s]"), Panels()
     first = panels.add("points", x, y, "less less")
     some = [{"x": 1.0, "y": 3.0}, {"x": 10.0, "y": None}, {"x": 100.0, "y": 1.0}]
-    first.points(some, "x", "y", Look("some", marker="D", line="--"))
+    first.points(some, "x", "y", Style("some", marker="D", line="--"))
     first.rule("wanted", x=20.0)
     first.rule("limit", y=2.0)
     first.mark(1.0, 3.0)
     names = panels.add("names", y, Axis("", names=("b", "a")))
-    names.points([{"x": 1.0, "y": "a"}, {"x": 2.0, "y": "b"}], "x", "y", Look("named"))
+    names.points([{"x": 1.0, "y": "a"}, {"x": 2.0, "y": "b"}], "x", "y", Style("named"))
     field = panels.add("field", y, y)
     field.heat([1.0, 2.0, 3.0], [2.0, 5.0], [[0.0, 0.5, None], [0.1, 0.9, 1.0]], "success", (0, 1))
     theory = [{"x": 1.0, "y": 2.0}, {"x": 3.0, "y": 5.0}]
-    field.points(theory, "x", "y", Look("theory", marker="", line="-"), in_front=False)
+    field.points(theory, "x", "y", Style("theory", marker="", line="-"), in_front=False)
     sheet = Sheet([{"x": 1}])
     return Chart("one", "a", "Title </script>", "reading", "finding", "why", panels, sheet)
 
@@ -182,11 +182,11 @@ def test_the_front_is_a_staircase_along_what_nobody_beats():
 
 def test_no_front_goes_through_what_does_not_count():
     from report.axis import Axis
-    from report.panels import Look, Panels
+    from report.panels import Panels, Style
 
     panel = Panels().add("", Axis(""), Axis(""), "less less")
     rows = [{"x": 1, "y": 1}, {"x": 2, "y": 3}, {"x": 3, "y": 2}]
-    panel.points(rows, "x", "y", Look(""), hollow=lambda row: row["x"] == 1)
+    panel.points(rows, "x", "y", Style(""), hollow=lambda row: row["x"] == 1)
     [front] = panel.front()
     assert list(zip(front.x, front.y, strict=True)) == [(2, 3), (3, 3), (3, 2)]
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import yaml
 
-from harness.serial import Judge, Operator, Port, serial_run
+from harness.serial import Operator, PlateCheck, Port, serial_run
 from plate_bringup.loop import Setup
 from plate_core import load_rig
 from plate_core.motion import motor_state
@@ -38,8 +38,8 @@ def test_the_task_goes_on(tmp_path, trouble, event):
     schedule = replace(FaultSchedule(trouble), disconnect_s=0.8)
     last, line = serial_run(Setup(str(file), 3, effort={"restarts": 10}), schedule, event, 1.5)
     assert (last.progress.phase, last.world.dropped) == ("done", 0), (last.progress, line.troubles)
-    assert line.judge.verdict().kept
-    assert line.judge.verdict().stroke > 0.2
+    assert line.plate_check.verdict().kept
+    assert line.plate_check.verdict().stroke > 0.2
     assert line.resting
     accidents = set(line.troubles) - ({LATE_IN_MOTION} if trouble.corrupted else set())
     assert bool(accidents) == bool(event)
@@ -48,7 +48,7 @@ def test_the_task_goes_on(tmp_path, trouble, event):
 
 
 def verdict(*setpoints):
-    judge = Judge(load_rig())
+    judge = PlateCheck(load_rig())
     for k, at in enumerate(setpoints):
         judge.update(k * 1e-3, at)
     return judge.verdict()

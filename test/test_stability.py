@@ -25,7 +25,7 @@ def test_crossing_is_where_a_line_passes_the_level():
 @pytest.mark.parametrize("grid", [(12, 6), (24, 13), (48, 26)])
 def test_two_parts_are_parted_down_to_the_spacing_of_centres(rig, grid):
     library = Library.around(rig.plate.half, *grid)
-    predicted = separation.least_separation(rig, grid[0] * grid[1])
+    predicted = separation.min_separation(rig, grid[0] * grid[1])
     distance = predicted * np.geomspace(0.5, 2, 7)
     force = [separation.guaranteed(rig, library, d, 8) for d in distance]
     observed = crossing(distance.tolist(), force, separation.LEVEL)
@@ -35,7 +35,7 @@ def test_two_parts_are_parted_down_to_the_spacing_of_centres(rig, grid):
 
 @pytest.mark.parametrize("number", [2, 3])
 def test_harmonics_serve_as_many_parts_as_they_have_numbers(rig, number):
-    most = harmonics.most_parts(number)
+    most = harmonics.max_parts(number)
     # For one part too many 100 are enough: they solve half of the requests for `most` parts.
     cases = [(most - 1, 250), (most, 250), (most + 1, 100)]
     share = [harmonics.solved(rig, m, number, 8, restarts) for m, restarts in cases]
@@ -45,20 +45,20 @@ def test_harmonics_serve_as_many_parts_as_they_have_numbers(rig, number):
 
 
 def test_one_harmonic_serves_nobody(rig):
-    assert harmonics.most_parts(1) == 0
+    assert harmonics.max_parts(1) == 0
     assert harmonics.solved(rig, 1, 1, 3, restarts=10) == 0
 
 
 @pytest.mark.parametrize("force", [0.0, 0.1, 0.2])
 def test_a_part_never_rests_above_the_predicted_shaking_ratio(rig, force):
-    predicted = stick.least_gamma(force)
-    below, above = (stick.resting_share(rig, force, s * predicted) for s in (0.9, 1.1))
+    predicted = stick.min_gamma(force)
+    below, above = (stick.resting_fraction(rig, force, s * predicted) for s in (0.9, 1.1))
     assert below > 2 * stick.LEVEL
     assert above == 0
 
 
 def test_dry_friction_of_den_hartog():
-    assert stick.least_gamma(0.0) == pytest.approx(np.sqrt(1 + np.pi**2 / 4))
+    assert stick.min_gamma(0.0) == pytest.approx(np.sqrt(1 + np.pi**2 / 4))
 
 
 def test_the_overtone_gives_the_force_that_is_asked():
@@ -71,7 +71,7 @@ def test_the_overtone_gives_the_force_that_is_asked():
 @pytest.mark.parametrize("parts", [1, 3])
 def test_averages_hold_above_the_predicted_shaking_ratio(rig, parts):
     cases = gamma.motions(rig, parts, 4)
-    predicted = gamma.least_gamma(rig, cases)
+    predicted = gamma.min_gamma(rig, cases)
     ratio = predicted * np.array([0.25, 0.5, 1, 2])
     error = [
         float(np.median([gamma.error(rig, c.scaled(r), p) / f for c, p, f in cases])) for r in ratio
@@ -86,7 +86,7 @@ def test_averages_hold_above_the_predicted_shaking_ratio(rig, parts):
 @pytest.mark.parametrize(("method", "parts"), [("sinusoids", 2), ("rotations", 6)])
 def test_a_plate_that_hangs_stiffer_than_predicted_does_nearly_as_commanded(rig, method, parts):
     cycle = suspension.motions(rig, method, parts, 1)[0]
-    predicted = suspension.least_frequency(rig, [cycle])
+    predicted = suspension.min_frequency(rig, [cycle])
     stiffness = predicted * np.geomspace(0.7, 1.4, 4)
     error = [suspension.realised_error(rig, cycle, hz) for hz in stiffness]
     assert error[0] > suspension.LEVEL > error[-1]

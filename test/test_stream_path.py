@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from cuts import cut
 
-from harness.serial import Judge, opened
+from harness.serial import PlateCheck, opened
 from plate_core import CycleError, PlateCycle, load_rig
 from plate_core.serial_protocol import State
 from plate_driver.setpoints import MotorTable
@@ -31,7 +31,7 @@ class Bench:
     """Transport, line and device; notes each setpoint."""
 
     def __init__(self, trouble: LineFaults) -> None:
-        self.judge = Judge(RIG)
+        self.judge = PlateCheck(RIG)
         self.travel: list[float] = []
         self.emulator = Emulator(DeviceLimits.of_rig(RIG), 2, FaultSchedule(trouble), self.see)
         self.transport = SerialTransport(

@@ -73,8 +73,8 @@ def own_files(module: str) -> set[Path]:
     waiting = [module]
     while waiting:
         name = waiting.pop().replace(".", "/")
-        ways = (f"{name}.py", f"{name}/__init__.py")
-        for path in (folder / way for folder in FOLDERS for way in ways):
+        names = (f"{name}.py", f"{name}/__init__.py")
+        for path in (folder / file for folder in FOLDERS for file in names):
             if path in found or not path.exists():
                 continue
             found.add(path)

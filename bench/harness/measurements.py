@@ -44,9 +44,9 @@ MAX_CORES = 0.3
 """Maximum number of CPU cores that other programs are allowed to use during timings."""
 
 
-def run_all(names: Iterable[str], quick: bool, out: Path, quiet: bool = False) -> list[str]:
+def run_all(names: Iterable[str], quick: bool, out: Path, when_idle: bool = False) -> list[str]:
     """Run measurements one after the other, print the progress, and write the result of each. If
-    `quiet` is True, each measurement waits until other programs are idle.
+    `when_idle` is True, each measurement waits until other programs are idle.
 
     If a measurement fails, the others still run. Return the names of the failed measurements.
     """
@@ -67,8 +67,8 @@ def run_all(names: Iterable[str], quick: bool, out: Path, quiet: bool = False) -
             module = importlib.import_module(MEASUREMENTS[name])
             about = (module.__doc__ or "").partition("\n")[0].removesuffix(".")
             print(f"{about} ... ", end="", flush=True)
-            if quiet:
-                await_quiet()
+            if when_idle:
+                await_idle()
             start = time.perf_counter()
             result = module.measure(quick)
         except Exception:  # after any error of a measurement, continue with the next measurement
@@ -90,7 +90,7 @@ def report_failures(failed: list[str]) -> int:
     return bool(failed)
 
 
-def await_quiet() -> None:
+def await_idle() -> None:
     """Wait until other programs use at most `MAX_CORES` CPU cores. Print a message if they use more
     at first."""
     has_printed = False

@@ -46,7 +46,7 @@ class Race:
         """Return the median time per call [s]."""
         return float(np.median(self.times[name]))
 
-    def lead(self, name: str, baseline: str) -> float:
+    def speedup(self, name: str, baseline: str) -> float:
         """Return the median over the rounds of (time of `baseline` / time of `name`)."""
         return float(np.median(self.times[baseline] / self.times[name]))
 

@@ -20,7 +20,7 @@ import yaml
 
 ROOT = Path(__file__).resolve().parents[2]
 
-WORDS: dict[str, Any] = yaml.safe_load(
+TEXTS: dict[str, Any] = yaml.safe_load(
     Path(__file__).with_name("tables.yaml").read_text(encoding="utf-8")
 )
 """Texts of each table by its key: `title`, `columns`, and for most tables `note`."""
@@ -54,9 +54,9 @@ class Table:
     def of(cls, key: str, rows: list[dict[str, Any]], **facts: Any) -> Table:
         """Return a table with its texts from tables.yaml. In these texts, `facts` replace the names
         in braces."""
-        words = WORDS[key]
-        title, note = (words.get(name, "").format(**facts) for name in ("title", "note"))
-        return cls(key, title, words["columns"], rows, note)
+        texts = TEXTS[key]
+        title, note = (texts.get(name, "").format(**facts) for name in ("title", "note"))
+        return cls(key, title, texts["columns"], rows, note)
 
 
 @dataclass(frozen=True)
@@ -76,10 +76,10 @@ def optional(name: str) -> Any:
         return None
 
 
-def missing(*peers: str) -> list[str]:
+def missing(*packages: str) -> list[str]:
     """Return a sentence for each baseline that is not installed, with the command that installs
     it."""
-    lacking = [name for name in peers if optional(name) is None]
+    lacking = [name for name in packages if optional(name) is None]
     install = "pip install -r requirements-bench.txt"
     return [f"baseline {n} is not installed: {install}" for n in lacking]
 

@@ -35,7 +35,7 @@ POLL_TICKS = 2
 MIN_S = 0.02
 """Minimum length of a segment [s]. No image is taken at the end of a shorter segment."""
 
-LOOK_S = 1.0
+INSPECT_S = 1.0
 """Time from the report of a stop until the operator enables the motors again [s]. This delay
 represents a check of the rig."""
 
@@ -85,7 +85,7 @@ def opened(emulator: Emulator) -> Port:
 
 @dataclass
 class Operator:
-    """Simulated operator, who enables the motors at the start, and `LOOK_S` after the report of
+    """Simulated operator, who enables the motors at the start, and `INSPECT_S` after the report of
     each stop. Nothing else enables the motors.
 
     Attributes
@@ -100,15 +100,15 @@ class Operator:
     _order: Order | None = None
     _since: float | None = None
 
-    def look(self, now: float) -> None:
+    def check(self, now: float) -> None:
         """Check the driver's report at the time `now` [s]. Enable the motors at the start, or if
-        they have been off for `LOOK_S`."""
+        they have been off for `INSPECT_S`."""
         if self.transport.report().condition is not Condition.OFF:
             self._since = None
             return
         waiting = self._order is not None and not self._order.completed
         self._since = now if self._since is None else self._since
-        if not waiting and now - self._since >= (LOOK_S if self.enables else 0.0):
+        if not waiting and now - self._since >= (INSPECT_S if self.enables else 0.0):
             self._order, self._since = self.transport.enable(), now
             self.enables += 1
 
@@ -133,8 +133,8 @@ class SerialLine:
     def __init__(
         self, rig: Rig, seed: int, schedule: FaultSchedule, event: str = "", at: float = 0.0
     ) -> None:
-        self.judge = Judge(rig)
-        self.emulator = Emulator(DeviceLimits.of_rig(rig), seed, schedule, self.judge.update)
+        self.plate_check = PlateCheck(rig)
+        self.emulator = Emulator(DeviceLimits.of_rig(rig), seed, schedule, self.plate_check.update)
         self.transport = SerialTransport(
             lambda: opened(self.emulator), lambda: self.emulator.now, seed=seed
         )
@@ -196,14 +196,14 @@ class SerialLine:
         """Advance all parts of the simulation by 1 ms. Return the segments that the device
         finished."""
         segments = self.emulator.tick()
-        self.judge.moved(self.emulator.plate[0])
+        self.plate_check.moved(self.emulator.plate[0])
         now = self.emulator.now
         self._ticks += 1
         while self._waiting and self._waiting[0][0] <= now:
             self._upload(self._waiting.pop(0)[1])
         if self._ticks % POLL_TICKS == 0:
             self.transport.poll()
-            self.operator.look(now)
+            self.operator.check(now)
             self.troubles.update(self.transport.troubles())
         if self._event and now >= self._at:
             getattr(self.emulator, self._event)()
@@ -265,7 +265,7 @@ class Verdict:
 
 
 @dataclass
-class Judge:
+class PlateCheck:
     """Independent check of a device's setpoints against all limits, at every tick."""
 
     rig: Rig

@@ -10,7 +10,7 @@ from maps.grid import Grid, StabilityMap, grid
 from plate_core import PlateCycle, Rig, load_rig
 from plate_sim import simulate
 from plate_solver import SinusoidSolver, average_force
-from stages.scenes import scatter
+from stages.scenes import random_positions
 
 PARTS = (1, 2, 3, 4, 6, 8)
 GAMMAS = np.geomspace(5, 1280, 13)
@@ -50,7 +50,7 @@ def motions(rig: Rig, parts: int, count: int) -> list[tuple[PlateCycle, np.ndarr
     solver = SinusoidSolver(free, period=SHORT_S, restarts=20)
     rng, found = np.random.default_rng([SEED, parts]), []
     for _ in range(count):
-        position, force = scatter(rig, parts, rng), rng.uniform(-FORCE, FORCE, (parts, 2))
+        position, force = random_positions(rig, parts, rng), rng.uniform(-FORCE, FORCE, (parts, 2))
         solver.reset()
         cycle = solver.solve(position, force).cycle.scaled(1 / rig.gamma)
         found.append((cycle, position, float(np.sqrt(np.mean(force**2)))))
@@ -93,7 +93,7 @@ def first_order(rig: Rig, cycle: PlateCycle, position: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.square(missed))))
 
 
-def least_gamma(rig: Rig, cases: list[tuple[PlateCycle, np.ndarray, float]]) -> float:
+def min_gamma(rig: Rig, cases: list[tuple[PlateCycle, np.ndarray, float]]) -> float:
     """Return the shaking ratio above which the error of the averaged forces is below `LEVEL`. This
     ratio is the median over the cases, by the theory of `first_order`."""
     return (
@@ -115,7 +115,7 @@ def measure(quick: bool) -> list[Grid]:
         ]
         for gamma in gammas
     ]
-    return [grid(parts, gammas, z, parts, [least_gamma(rig, mine) for mine in cases])]
+    return [grid(parts, gammas, z, parts, [min_gamma(rig, mine) for mine in cases])]
 
 
 MAP = StabilityMap(

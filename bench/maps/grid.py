@@ -113,9 +113,9 @@ def crossing(place: Sequence[float], value: Sequence[float], level: float) -> fl
     """Return the position at which a curve first crosses a level, by linear interpolation. NaN if
     the curve does not cross the level."""
     above = np.asarray(value, float) >= level
-    turns = np.flatnonzero(above[1:] != above[:-1])
-    if not len(turns):
+    crossings = np.flatnonzero(above[1:] != above[:-1])
+    if not len(crossings):
         return float("nan")
-    k = turns[0]
-    share = (level - value[k]) / (value[k + 1] - value[k])
-    return float(place[k] + share * (place[k + 1] - place[k]))
+    k = crossings[0]
+    fraction = (level - value[k]) / (value[k + 1] - value[k])
+    return float(place[k] + fraction * (place[k + 1] - place[k]))

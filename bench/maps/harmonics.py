@@ -8,7 +8,7 @@ import numpy as np
 from maps.grid import Grid, StabilityMap, grid
 from plate_core import Rig, load_rig
 from plate_solver import SinusoidSolver, average_force
-from stages.scenes import LARGEST, targets
+from stages.scenes import MAX_FORCE, targets
 
 FORCE = 0.02
 """Size of the requested forces [mu m g]. The forces are small, so that only the number of
@@ -24,7 +24,7 @@ REQUESTS = 8
 """Number of random requests for each cell."""
 
 
-def most_parts(harmonics: int) -> int:
+def max_parts(harmonics: int) -> int:
     """Return the maximum number of parts with arbitrary forces: (6 N - 2)/2, and 0 for N = 1.
 
     N sines and N cosines for each of three degrees of freedom have 6 N parameters. Two parameters,
@@ -42,7 +42,7 @@ def solved(rig: Rig, parts: int, harmonics: int, requests: int, restarts: int = 
     rng = np.random.default_rng([SEED, parts, harmonics])
     count = 0
     for position, force in targets(rig, parts, requests, rng):
-        force = FORCE / LARGEST * force
+        force = FORCE / MAX_FORCE * force
         solver.reset()
         motion = solver.solve(position, force).cycle
         count += bool(np.max(np.abs(average_force(motion, position) - force)) <= 2 * TOLERANCE)
@@ -55,7 +55,7 @@ def measure(quick: bool) -> list[Grid]:
     numbers, counts = (HARMONICS[:2], PARTS[:7]) if quick else (HARMONICS, PARTS)
     requests, restarts = (3, 30) if quick else (REQUESTS, RESTARTS)
     z = [[solved(rig, m, n, requests, restarts) for n in numbers] for m in counts]
-    return [grid(numbers, counts, z, numbers, [most_parts(n) + 0.5 for n in numbers])]
+    return [grid(numbers, counts, z, numbers, [max_parts(n) + 0.5 for n in numbers])]
 
 
 MAP = StabilityMap(

@@ -30,7 +30,7 @@ def spacing(rig: Rig, centres: int) -> float:
     return float(np.sqrt(np.prod(sides) / centres))
 
 
-def least_separation(rig: Rig, centres: float) -> float:
+def min_separation(rig: Rig, centres: float) -> float:
     """Return the separation d [m] below which the force `LEVEL` cannot be guaranteed.
 
     Let a centre of rotation be at the distance r from both parts. Its arms are the lines to the
@@ -71,8 +71,8 @@ def measure(quick: bool) -> list[Grid]:
         for d in separations
     ]
     line = np.geomspace(centres[0], centres[-1], 20).round()
-    least = [1e3 * least_separation(rig, n) for n in line]
-    return [grid(centres, 1e3 * separations, z, line, least)]
+    minima = [1e3 * min_separation(rig, n) for n in line]
+    return [grid(centres, 1e3 * separations, z, line, minima)]
 
 
 MAP = StabilityMap(

@@ -48,7 +48,7 @@ def peak(b: float) -> float:
     return float(np.max(np.abs(np.cos(t) - 2 * b * np.sin(2 * t))))
 
 
-def least_gamma(force: float) -> float:
+def min_gamma(force: float) -> float:
     """Return the shaking ratio above which a part never sticks.
 
     A part that never sticks gains the speed mu g T/2 in one half of the cycle and loses it in the
@@ -72,7 +72,7 @@ def least_gamma(force: float) -> float:
     return float(brentq(spare, 1.5, 100.0)) * peak(b)
 
 
-def resting_share(rig: Rig, force: float, gamma: float) -> float:
+def resting_fraction(rig: Rig, force: float, gamma: float) -> float:
     """Simulate a part, and return the fraction of a cycle in which it sticks to the plate."""
     b, omega = overtone(force), 2 * np.pi / PERIOD_S
     speed = gamma * rig.friction.accel / (peak(b) * omega)
@@ -91,9 +91,9 @@ def measure(quick: bool) -> list[Grid]:
     """Measure all cells."""
     rig = load_rig()
     forces, gammas = (FORCES[::5], GAMMAS[::3]) if quick else (FORCES, GAMMAS)
-    z = [[resting_share(rig, f, gamma) for f in forces] for gamma in gammas]
+    z = [[resting_fraction(rig, f, gamma) for f in forces] for gamma in gammas]
     line = np.linspace(FORCES[0], FORCES[-1], 31)
-    return [grid(forces, gammas, z, line, [least_gamma(f) for f in line])]
+    return [grid(forces, gammas, z, line, [min_gamma(f) for f in line])]
 
 
 MAP = StabilityMap(

@@ -9,7 +9,7 @@ from plate_core import PlateCycle, Rig, load_rig
 from plate_sim import PlateState, realise
 from plate_solver import Goal, RotationSolver, SinusoidSolver
 from stages.learning import DAMPING, hung
-from stages.scenes import scatter
+from stages.scenes import random_positions
 
 METHODS = {"sinusoids": SinusoidSolver, "rotations": RotationSolver}
 PARTS = (1, 2, 4, 6, 10)
@@ -37,7 +37,10 @@ def motions(rig: Rig, method: str, parts: int, count: int = REQUESTS) -> list[Pl
     period = solver.steering_period(parts)
     none, cycles = np.zeros((parts, 2)), []
     for _ in range(count):
-        position, requested = scatter(rig, parts, rng), DRIFT * period * rng.normal(size=(parts, 2))
+        position, requested = (
+            random_positions(rig, parts, rng),
+            DRIFT * period * rng.normal(size=(parts, 2)),
+        )
         solver.reset()
         goal = Goal(position, none, requested, none, np.full(parts, rig.friction.accel))
         cycles.append(solver.steer(goal, 2e-4 * period, 0.05 * DRIFT * period).cycle)
@@ -83,7 +86,7 @@ def predicted_error(rig: Rig, cycle: PlateCycle, frequency: float | np.ndarray) 
     return np.asarray(np.sqrt(missed @ power / np.sum(power)))
 
 
-def least_frequency(rig: Rig, cycles: list[PlateCycle]) -> float:
+def min_frequency(rig: Rig, cycles: list[PlateCycle]) -> float:
     """Return the frequency [Hz] above which the median of the predicted errors is below the
     level."""
     frequency = np.geomspace(5, 1000, 2000)
@@ -102,7 +105,7 @@ def measure(quick: bool) -> list[Grid]:
             [float(np.median([realised_error(rig, c, hz) for c in mine])) for mine in cycles]
             for hz in frequencies
         ]
-        line = [least_frequency(rig, mine) for mine in cycles]
+        line = [min_frequency(rig, mine) for mine in cycles]
         grids.append(grid(parts, frequencies, z, parts, line, method))
     return grids
 

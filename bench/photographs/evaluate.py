@@ -92,7 +92,7 @@ def counts(found: np.ndarray, photograph: Photograph) -> np.ndarray:
 
 
 def score(found: np.ndarray, photograph: Photograph, shown: np.ndarray | None = None) -> Score:
-    """Evaluate the detections (n,) FOUND in a photograph. `shown` (m,) bool are the parts used as
+    """Evaluate the detections (n,) FINDING in a photograph. `shown` (m,) bool are the parts used as
     examples."""
     parts = photograph.parts
     i, j, gap = paired(places(found), places(parts), REACH * parts["radius_px"])
@@ -123,11 +123,11 @@ def angle_errors(found: np.ndarray, parts: np.ndarray, directed: bool) -> list[f
         symmetry = int(parts["symmetry"][those][0]) if those.any() else 0
         if np.count_nonzero(those) < 2 or symmetry == 0:
             continue
-        turns = symmetry if directed or symmetry % 2 == 0 else 2 * symmetry
-        gap = turns * np.radians(found["angle_deg"][those] - parts["angle_deg"][those])
+        order = symmetry if directed or symmetry % 2 == 0 else 2 * symmetry
+        gap = order * np.radians(found["angle_deg"][those] - parts["angle_deg"][those])
         mean = np.angle(np.mean(np.exp(1j * gap)))
         off = np.angle(np.exp(1j * (gap - mean)))
-        errors += np.degrees(np.abs(off) / turns).tolist()
+        errors += np.degrees(np.abs(off) / order).tolist()
     return errors
 
 

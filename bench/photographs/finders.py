@@ -14,7 +14,7 @@ import numpy as np
 from harness import optional
 from plate_vision import detect
 
-FOUND = np.dtype(
+FINDING = np.dtype(
     [
         ("x_px", "f8"),
         ("y_px", "f8"),
@@ -27,19 +27,19 @@ FOUND = np.dtype(
 unknown), and class (empty if unknown)."""
 
 Finder = Callable[[np.ndarray], np.ndarray]
-"""Function from an image (H, W, 3) uint8 to (n,) FOUND."""
+"""Function from an image (H, W, 3) uint8 to (n,) FINDING."""
 
 MIN_PX2 = 30.0
 """Minimum area of a patch that a baseline reports [px2]."""
 
-LARGEST = 0.25
+MAX_FRACTION = 0.25
 """Maximum area of a patch, as a fraction of the picture."""
 
 DEEPER_PX = 1.5
 """Minimum height of a peak of the distance to the contour above the saddle to the next peak [px].
 Peaks with a larger height are separate parts."""
 
-OURS = "ours, untaught"
+UNTAUGHT = "ours, untaught"
 
 WHITE = 255
 
@@ -47,22 +47,22 @@ WHITE = 255
 def make_finders() -> dict[str, Finder]:
     """Return the detectors that need no teaching, by name. Baselines that are not installed are
     omitted."""
-    finders: dict[str, Finder] = {OURS: find_ours}
+    finders: dict[str, Finder] = {UNTAUGHT: find_untaught}
     if optional("skimage.segmentation") is not None:
         finders["scikit-image watershed"] = watershed
     return finders
 
 
-def find_ours(image: np.ndarray) -> np.ndarray:
+def find_untaught(image: np.ndarray) -> np.ndarray:
     """Find parts with `plate_vision.detect` and its default options. Groups are omitted."""
     seen = detect(image)
     seen = seen[seen["method"] != "group"]
-    return as_found(seen, seen["label"])
+    return as_findings(seen, seen["label"])
 
 
-def as_found(seen: np.ndarray, label: Sequence[str] | np.ndarray) -> np.ndarray:
-    """Return detections (n,) of the project's detector as FOUND, with these labels."""
-    found = np.zeros(len(seen), FOUND)
+def as_findings(seen: np.ndarray, label: Sequence[str] | np.ndarray) -> np.ndarray:
+    """Return detections (n,) of the project's detector as FINDING, with these labels."""
+    found = np.zeros(len(seen), FINDING)
     for name in ("x_px", "y_px", "radius_px"):
         found[name] = seen[name]
     found["label"], found["angle_deg"] = label, np.degrees(seen["angle_rad"])
@@ -80,7 +80,7 @@ def watershed(image: np.ndarray) -> np.ndarray:
     labels = segmentation.watershed(-depth, seeds, mask=mask > 0)
     props = measure.regionprops(labels)
     y, x = np.array([p.centroid for p in props]).reshape(-1, 2).T
-    found = _found(x, y, np.array([p.area for p in props], float), image)
+    found = _findings(x, y, np.array([p.area for p in props], float), image)
     angle = {(p.centroid[1], p.centroid[0]): np.degrees(p.orientation) + 90 for p in props}
     found["angle_deg"] = [angle[x, y] for x, y in zip(found["x_px"], found["y_px"], strict=True)]
     return found
@@ -95,16 +95,16 @@ def _far_from_background(image: np.ndarray) -> np.ndarray:
     bins = np.minimum(2 * away, WHITE).astype(np.uint8)
     mask = cv2.threshold(bins, 0, 1, cv2.THRESH_BINARY | cv2.THRESH_OTSU)[1]
     mask = cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
-    rims = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[-2]
-    return np.asarray(cv2.drawContours(mask, rims, -1, 1, cv2.FILLED))
+    contours = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[-2]
+    return np.asarray(cv2.drawContours(mask, contours, -1, 1, cv2.FILLED))
 
 
-def _found(x: np.ndarray, y: np.ndarray, area: np.ndarray, image: np.ndarray) -> np.ndarray:
-    """Return patches (n,) FOUND from centres [px] and areas [px2]. Too small and too large patches
-    are omitted."""
-    found = np.zeros(len(area), FOUND)
+def _findings(x: np.ndarray, y: np.ndarray, area: np.ndarray, image: np.ndarray) -> np.ndarray:
+    """Return patches (n,) FINDING from centres [px] and areas [px2]. Too small and too large
+    patches are omitted."""
+    found = np.zeros(len(area), FINDING)
     found["x_px"], found["y_px"] = x, y
     found["radius_px"] = np.sqrt(area / np.pi)
     found["angle_deg"] = np.nan
     size = image.shape[0] * image.shape[1]
-    return found[(area >= MIN_PX2) & (area <= LARGEST * size)]
+    return found[(area >= MIN_PX2) & (area <= MAX_FRACTION * size)]

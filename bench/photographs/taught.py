@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from photographs.finders import FOUND, as_found
+from photographs.finders import FINDING, as_findings
 from plate_core import NAMELESS, PlateError
 from plate_vision import calibrate_by_scale, find_parts
 from plate_vision.shapes import Example, model_background, teach
@@ -40,7 +40,7 @@ def teach_examples(
     Returns
     -------
     finder, shown, refused
-        `finder` is the taught detector, a function from an image to (m,) FOUND. `shown` (n,) bool
+        `finder` is the taught detector, a function from an image to (m,) FINDING. `shown` (n,) bool
         is True for the parts that were used as examples. `refused` contains the refused examples
         and the reasons.
     """
@@ -70,10 +70,10 @@ def teach_examples(
 
     def finder(picture: np.ndarray) -> np.ndarray:
         if not types:
-            return np.zeros(0, FOUND)
+            return np.zeros(0, FINDING)
         seen = find_parts(picture, types, scale=SCALE)
         seen = seen[~np.isin(seen["label"], NAMELESS)]
-        return as_found(seen, [class_of[label] for label in seen["label"]])
+        return as_findings(seen, [class_of[label] for label in seen["label"]])
 
     return finder, shown, refused
 

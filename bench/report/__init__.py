@@ -26,7 +26,7 @@ from report.page import write_report
 from report.panels import Row
 from report.results import read_facts, write_results
 from report.solver import options, solver, solver_rows
-from report.stability import chart_of, rows_of, words_of
+from report.stability import chart_of, rows_of, texts_of
 from report.world import cost, cost_rows, sim, sim_rows, vision
 
 __all__ = [
@@ -74,9 +74,9 @@ CHARTS: tuple[Entry, ...] = (
 )
 """Definitions of all charts."""
 
-WORDS: dict[str, dict[str, str]] = {
+TEXTS: dict[str, dict[str, str]] = {
     **yaml.safe_load(Path(__file__).with_name("charts.yaml").read_text(encoding="utf-8")),
-    **{f"stability_{key}": words_of(one) for key, one in MAPS.items()},
+    **{f"stability_{key}": texts_of(one) for key, one in MAPS.items()},
 }
 """Texts of each chart by its key: `title`, `reading`, and for most charts `letter` and
 `default`."""
@@ -112,11 +112,11 @@ def made(data: Data, folder: Path, columns: Mapping[str, dict[str, str]]) -> lis
             why = f"its stored rows have no column {key}"
             print(f"chart {one.key} is omitted: {why}", file=sys.stderr)
         else:
-            words = {"letter": "", "default": default} | WORDS[one.key]
+            texts = {"letter": "", "default": default} | TEXTS[one.key]
             charts.append(
                 Chart(
                     one.key,
-                    **words,
+                    **texts,
                     finding=finding,
                     panels=panels,
                     sheet=sheet,

@@ -39,7 +39,7 @@ class Axis:
         Positions of numbers. If it is empty, the positions are chosen automatically.
     limits : (low, high), optional
         Ends of the axis. Default: chosen automatically.
-    least : float, optional
+    minimum : float, optional
         Minimum number. Smaller values are only rounding errors, and are drawn at this minimum.
     """
 
@@ -48,11 +48,11 @@ class Axis:
     names: tuple[str, ...] = ()
     ticks: tuple[float, ...] = ()
     limits: tuple[float, float] | None = None
-    least: float | None = None
+    minimum: float | None = None
 
     def drawn(self, value: Any) -> Any:
         """Return the position of a number, or of a name of the axis. None if it is not drawn."""
-        return value if None in (value, self.least) else max(value, self.least)
+        return value if None in (value, self.minimum) else max(value, self.minimum)
 
     def place(self, value: float) -> float:
         """Return the coordinate of an end of the axis in plotly. On a logarithmic axis, this is the

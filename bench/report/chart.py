@@ -135,9 +135,9 @@ class Sheet:
 
 def value_of(cell: str) -> str | bool | float | None:
     """Return the value of a CSV cell: None, a bool, a number or a text."""
-    words = {"": None, "True": True, "False": False}
-    if cell in words:
-        return words[cell]
+    constants = {"": None, "True": True, "False": False}
+    if cell in constants:
+        return constants[cell]
     for kind in (int, float):
         with suppress(ValueError):
             return kind(cell)

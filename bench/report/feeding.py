@@ -5,14 +5,14 @@ from __future__ import annotations
 
 from report.axis import Axis
 from report.chart import Drawn
-from report.panels import OURS, PEER, SECOND, Look, Panels, Row, by
+from report.panels import BASELINE, OURS, SECOND, Panels, Row, Style, by
 
-LOOKS = {
-    "ours": Look("this project, part by part", OURS, "o"),
-    "vibrated": Look("baseline: vibrated in the plane", PEER, "s"),
-    "thrown": Look("idealised baseline: thrown", SECOND, "D"),
+STYLES = {
+    "ours": Style("this project, part by part", OURS, "o"),
+    "vibrated": Style("baseline: vibrated in the plane", BASELINE, "s"),
+    "thrown": Style("idealised baseline: thrown", SECOND, "D"),
 }
-LINES = {method: look._replace(line="-") for method, look in LOOKS.items()}
+LINES = {method: style._replace(line="-") for method, style in STYLES.items()}
 
 CHANGED = {
     "fill": ("parts on the plate", (5, 10, 20, 40)),
@@ -35,7 +35,7 @@ def feeding(rows: list[Row]) -> Drawn:
         Axis("pose error at the grip, 95th percentile [mm]", log=True),
     )  # fmt: skip
     usual = [r for r in cases if r["error_95_mm"] is not None and r["cycle_s"] == ROBOT_S]
-    speed.kinds(usual, "method", "parts_per_min", "error_95_mm", LOOKS, note="{case}")
+    speed.kinds(usual, "method", "parts_per_min", "error_95_mm", STYLES, note="{case}")
     for key, (label, ticks) in CHANGED.items():
         panel = panels.add(
             f"Waiting against {label.split(' [')[0]}", Axis(label, log=True, ticks=ticks),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from report.axis import Axis
 from report.chart import Drawn, column
-from report.panels import LIMIT, OURS, PEER, SECOND, THIRD, Look, Panels, Row, by
+from report.panels import BASELINE, LIMIT, OURS, SECOND, THIRD, Panels, Row, Style, by
 
 MIN_ERROR = 1e-11
 """Minimum drawn error [mu mg]. Smaller errors are rounding errors, and are drawn at this value."""
@@ -13,7 +13,7 @@ MAX_P99 = 1e-6
 """Maximum allowed error of averaged forces at the 99th percentile [mu mg]."""
 
 
-COLOURS = (PEER, SECOND, THIRD, "#8a6d00", LIMIT)
+COLOURS = (BASELINE, SECOND, THIRD, "#8a6d00", LIMIT)
 """Colours of the baselines."""
 
 
@@ -28,13 +28,13 @@ def force_map(rows: list[Row]) -> Drawn:
         limits = (0.1, 1e4) if case == "one" else (0, 1.6 * max(column(mine, "us")))
         panel = panels.add(
             title, Axis("time of one part's force [µs]", log=case == "one", limits=limits),
-            Axis("error, 99th percentile [mu mg]", log=True, least=MIN_ERROR), "less less",
+            Axis("error, 99th percentile [mu mg]", log=True, minimum=MIN_ERROR), "less less",
         )  # fmt: skip
         best = next(r for r in mine if r["method"] == name)
         others = [r for r in mine if r is not best]
         for r, colour, marker in zip([best, *others], (OURS, *COLOURS), "osD^vx", strict=False):
-            look = Look(r["method"], colour, marker)
-            panel.points([r], "us", "p99", look, note="median error {median:.3g}")
+            style = Style(r["method"], colour, marker)
+            panel.points([r], "us", "p99", style, note="median error {median:.3g}")
         panel.rule("required", y=MAX_P99)
         panel.mark(best["us"], best["p99"])
     best, quad = (
@@ -58,8 +58,8 @@ def learning(rows: list[Row]) -> Drawn:
     panel = panels.add(
         "Error of realised harmonics", Axis("experiments", ticks=ticks), Axis("error [%]", log=True)
     )
-    panel.points(rows, "iteration", "most", Look("maximum over the cycles", SECOND, "s", "--"))
-    panel.points(rows, "iteration", "median", Look("median", OURS, "o", "-"))
+    panel.points(rows, "iteration", "most", Style("maximum over the cycles", SECOND, "s", "--"))
+    panel.points(rows, "iteration", "median", Style("median", OURS, "o", "-"))
     panel.rule("2 %", y=2, colour=LIMIT)
     first, last = rows[0], rows[-1]
     return Drawn(

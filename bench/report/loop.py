@@ -5,7 +5,7 @@ from __future__ import annotations
 from harness import shown
 from report.axis import Axis
 from report.chart import Drawn, column, parts
-from report.panels import FAINT, LIMIT, OURS, SECOND, Look, Panels, Row, by
+from report.panels import FAINT, LIMIT, OURS, SECOND, Panels, Row, Style, by
 from report.solver import METHODS
 from tasks.free_running import ALLOWED_MM
 
@@ -20,8 +20,8 @@ def tracking(rows: list[Row]) -> Drawn:
     """Return the chart of tracking error against speed. It also shows the maximum speed and its
     theoretical bound, by number of parts."""
     counts, groups = sorted(by(rows, "parts")), by(rows, "method")
-    looks = {
-        count: Look(parts(count), colour, "o", "-")
+    styles = {
+        count: Style(parts(count), colour, "o", "-")
         for count, colour in zip(counts, COUNT_COLOURS, strict=False)
     }
     panels = Panels()
@@ -30,7 +30,7 @@ def tracking(rows: list[Row]) -> Drawn:
             METHODS[method].name, Axis("speed along the path [mm/s]", log=True, ticks=SPEEDS),
             Axis("tracking error, RMS [mm]", log=True),
         )  # fmt: skip
-        panel.kinds(mine, "parts", "speed_mm_s", "rms_mm", looks, hollow=is_lost)
+        panel.kinds(mine, "parts", "speed_mm_s", "rms_mm", styles, hollow=is_lost)
         for bound in by(mine, "bound_mm_s"):
             panel.rule("bound aT/16", x=bound)
     last = panels.add(
@@ -40,18 +40,18 @@ def tracking(rows: list[Row]) -> Drawn:
     for method, mine in groups.items():
         name, colour, *_ = METHODS[method]
         of_count = [r | {"kept": fastest(mine, r["parts"]) or None} for r in mine]
-        last.points(of_count, "parts", "kept", Look(f"{name}, reached", colour, "o", "-"))
-        last.points(mine, "parts", "bound_mm_s", Look(f"{name}, bound aT/16", colour, "", "--"))
-    leads = all(
+        last.points(of_count, "parts", "kept", Style(f"{name}, reached", colour, "o", "-"))
+        last.points(mine, "parts", "bound_mm_s", Style(f"{name}, bound aT/16", colour, "", "--"))
+    is_fastest = all(
         fastest(groups["sinusoids"], n) >= fastest(groups.get("rotations", []), n) for n in counts
     )
-    most = ", ".join(f"{fastest(rows, n)} with {parts(n)}" for n in counts)
+    maxima = ", ".join(f"{fastest(rows, n)} with {parts(n)}" for n in counts)
     return Drawn(
         panels,
-        f"Maximum speed [mm/s]: {most}. The theoretical bound aT/16 is "
+        f"Maximum speed [mm/s]: {maxima}. The theoretical bound aT/16 is "
         f"{min(column(rows, 'bound_mm_s')):.0f} to {max(column(rows, 'bound_mm_s')):.0f} mm/s.",
         "Method B, because its maximum speed is never below that of Method A."
-        if leads
+        if is_fastest
         else "Method B. The last panel shows where Method A is faster.",
     )
 
@@ -90,9 +90,9 @@ def cameras(rows: list[Row]) -> Drawn:
             Axis("tracking error, RMS [mm]", log=True),
         )  # fmt: skip
         panel.points(
-            mine, "x", "rms_mm", Look("median", OURS, "o", "-"), hollow=not_all, note=ENDED
+            mine, "x", "rms_mm", Style("median", OURS, "o", "-"), hollow=not_all, note=ENDED
         )
-        worst = Look("worst run", FAINT, "o", ":")
+        worst = Style("worst run", FAINT, "o", ":")
         panel.points(mine, "x", "worst_rms_mm", worst, hollow=not_all, note=ENDED)
         panel.rule("allowed", y=ALLOWED_MM, colour=LIMIT)
         panel.rule("triggered", y=triggered["rms_mm"], colour=SECOND)
@@ -120,22 +120,22 @@ def drives(rows: list[Row]) -> Drawn:
     """Return the chart of the tracking error against the parameters of bus and drives."""
     panels, bridges = Panels(), next(r for r in rows if not r["changed"])
     names = by([r for r in rows if r["changed"]], "drive")
-    looks = {name: Look(name, c, "o", "-") for name, c in zip(names, COUNT_COLOURS, strict=False)}
+    styles = {name: Style(name, c, "o", "-") for name, c in zip(names, COUNT_COLOURS, strict=False)}
     for changed, (title, label) in ON_A_BUS.items():
         panel = panels.add(
             title, Axis(label), Axis("median of the RMS tracking error [mm]", log=True)
         )
         mine = [r for r in rows if r["changed"] == changed]
-        panel.kinds(mine, "drive", "value", "rms_mm", looks, hollow=not_all, note=ENDED)
+        panel.kinds(mine, "drive", "value", "rms_mm", styles, hollow=not_all, note=ENDED)
         panel.rule("bridges", y=bridges["rms_mm"], colour=LIMIT)
     errors = {
         (r["changed"], r["value"]): shown(r["rms_mm"]) for r in rows if r["drive"] == "interpolated"
     }
-    words = {
+    descriptions = {
         ("latency_ms", 4): "a latency of 4 ms", ("jitter_ms", 5): "a jitter of up to 5 ms",
         ("loop_hz", 75): "loops of 75 Hz", ("loop_hz", 300): "loops of 300 Hz",
     }  # fmt: skip
-    found = ", ".join(f"{errors[case]} mm with {word}" for case, word in words.items())
+    found = ", ".join(f"{errors[case]} mm with {word}" for case, word in descriptions.items())
     return Drawn(
         panels,
         f"The median error is {shown(bridges['rms_mm'])} mm with H-bridges, and "
@@ -149,7 +149,7 @@ def rigs(rows: list[Row]) -> Drawn:
     predictions of `feasible`."""
     names, panels = tuple(by(rows, "rig"))[::-1], Panels()
     y = Axis("", names=names)
-    share = panels.add("Ended well", Axis("runs [%]", limits=(-5, 105)), y)
+    success = panels.add("Ended well", Axis("runs [%]", limits=(-5, 105)), y)
     time = panels.add("Time of the task", Axis("median [s]", log=True), y)
     error = panels.add(
         "Following a path", Axis("median of the RMS tracking error [mm]", log=True), y
@@ -159,14 +159,14 @@ def rigs(rows: list[Row]) -> Drawn:
     tasks = by([r | {"scenario": r["scenario"].removesuffix("_desk")} for r in rows], "scenario")
     for colour, marker, (scenario, these) in zip(COUNT_COLOURS, "osD", tasks.items(), strict=False):
         mine = [r | {"share": percent(r), "kept": 100 * (r["pace"] or 0)} for r in these]
-        look = Look(scenario, colour, marker)
+        style = Style(scenario, colour, marker)
         note = ENDED + "; feasible: {feasible}"
-        share.points(mine, "share", "rig", look, hollow=not_all, note=note)
-        time.points(mine, "time_s", "rig", look, hollow=not_all)
-        time.points(mine, "feasible_s", "rig", Look(f"{scenario}, predicted", colour, "x"))
+        success.points(mine, "share", "rig", style, hollow=not_all, note=note)
+        time.points(mine, "time_s", "rig", style, hollow=not_all)
+        time.points(mine, "feasible_s", "rig", Style(f"{scenario}, predicted", colour, "x"))
         if any(column(mine, "rms_mm")):
-            error.points(mine, "rms_mm", "rig", look, hollow=not_all)
-            pace.points(mine, "kept", "rig", look, hollow=not_all)
+            error.points(mine, "rms_mm", "rig", style, hollow=not_all)
+            pace.points(mine, "kept", "rig", style, hollow=not_all)
     failures = "; ".join(
         f"{rig} (" + ", ".join(f"{r['scenario']}: {r['succeeded']} succeeded" for r in these) + ")"
         for rig, these in by(list(filter(not_all, rows)), "rig").items()

@@ -6,16 +6,16 @@ from __future__ import annotations
 from harness import shown
 from report.axis import Axis
 from report.chart import Drawn
-from report.panels import OURS, PEER, SECOND, THIRD, Look, Panels, Row, by
+from report.panels import BASELINE, OURS, SECOND, THIRD, Panels, Row, Style, by
 
-COLOURS = (OURS, PEER, SECOND, THIRD, "#8a6d00")
+COLOURS = (OURS, BASELINE, SECOND, THIRD, "#8a6d00")
 """Colours of scenes."""
 
-LOOKS = {
-    method: Look(name, colour, marker, "-")
+STYLES = {
+    method: Style(name, colour, marker, "-")
     for method, name, colour, marker in (
         ("one model", "finite parts, in steps", OURS, "o"),
-        ("by events", "reference, by events", SECOND, "s"), ("pymunk", "pymunk", PEER, "D"),
+        ("by events", "reference, by events", SECOND, "s"), ("pymunk", "pymunk", BASELINE, "D"),
     )
 }  # fmt: skip
 """Appearance of methods."""
@@ -30,14 +30,14 @@ def model(rows: list[Row]) -> Drawn:
     parts, time = Axis("parts", log=True), Axis("CPU time of a cycle [ms]", log=True)
     for scene, mine in by(rows, "scene").items():
         panel = panels.add(scene, parts, time)
-        panel.kinds(mine, "method", "parts", "cpu_ms", LOOKS, note="error {error_um:.3g} µm")
-    error = Axis("error after a cycle [µm]", log=True, least=MIN_UM)
+        panel.kinds(mine, "method", "parts", "cpu_ms", STYLES, note="error {error_um:.3g} µm")
+    error = Axis("error after a cycle [µm]", log=True, minimum=MIN_UM)
     last = panels.add("Error of finite parts", parts, error)
     for (scene, mine), colour in zip(ours.items(), COLOURS, strict=False):
-        last.points(mine, "parts", "error_um", Look(f"error, {scene}", colour, "s", "-"))
-    most = [mine[-1] for mine in ours.values()]
-    times = ", ".join(f"{r['scene']} {shown(r['cpu_ms'])}" for r in most)
+        last.points(mine, "parts", "error_um", Style(f"error, {scene}", colour, "s", "-"))
+    largest = [mine[-1] for mine in ours.values()]
+    times = ", ".join(f"{r['scene']} {shown(r['cpu_ms'])}" for r in largest)
     return Drawn(
         panels,
-        f"CPU time of a cycle with {most[0]['parts']} parts [ms], by scene: {times}.",
+        f"CPU time of a cycle with {largest[0]['parts']} parts [ms], by scene: {times}.",
     )

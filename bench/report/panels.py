@@ -13,7 +13,7 @@ from report.axis import Axis, edges
 
 Row = dict[str, Any]
 
-OURS, PEER, SECOND, THIRD, FAINT, LIMIT = (
+OURS, BASELINE, SECOND, THIRD, FAINT, LIMIT = (
     "#0b5f8a", "#c4560b", "#2e7d4a", "#7d4f9e", "#767676", "#b02a37",
 )  # fmt: skip
 """Colours: the project's default, the baselines, the project's second and third variants, notes,
@@ -44,14 +44,14 @@ LABEL_PX, TITLE_PX, LINE_PX = 95, 36, 28
 """Space for the numbers and the label of an axis, for a panel's title, and for a line of the legend
 (key)."""
 
-WORDS_PX = 13
+TEXT_PX = 13
 """Size of small text."""
 
 LETTER = 0.6
 """Mean width of a letter [size of the text]."""
 
 
-class Look(NamedTuple):
+class Style(NamedTuple):
     """Appearance of the points of one kind, for example of one method.
 
     Attributes
@@ -139,7 +139,7 @@ class Panels:
         names = dict.fromkeys(name for panel in self.list for name in panel.names)
         lines, x = 1, 0.0
         for name in names:
-            wide = 50 + LETTER * WORDS_PX * len(name)
+            wide = 50 + LETTER * TEXT_PX * len(name)
             lines, x = (lines, x + wide) if x + wide < 790 else (lines + 1, wide)
         return LINE_PX * lines if len(names) > 1 else 0
 
@@ -180,12 +180,12 @@ class Panels:
             coloraxis={"colorscale": list(FIELD)},
             hoverlabel={"align": "left"},
         )  # fmt: skip
-        for label, (low, most) in [panel.field for panel in self.list if panel.field]:
+        for label, (low, upper) in [panel.field for panel in self.list if panel.field]:
             bar = {
                 "thickness": 14,
-                "title": {"text": label, "side": "right", "font": {"size": WORDS_PX}},
+                "title": {"text": label, "side": "right", "font": {"size": TEXT_PX}},
             }
-            figure.update_layout(coloraxis={"cmin": low, "cmax": most, "colorbar": bar})
+            figure.update_layout(coloraxis={"cmin": low, "cmax": upper, "colorbar": bar})
         return figure
 
 
@@ -209,7 +209,7 @@ class Panel:
         self.rules: list[Rule] = []
 
     def points(
-        self, rows: Sequence[Row], x: str, y: str, look: Look, *,
+        self, rows: Sequence[Row], x: str, y: str, style: Style, *,
         hollow: Callable[[Row], bool] = nowhere, note: str = "", in_front: bool = True,
     ) -> None:  # fmt: skip
         """Draw a point of one kind for each row.
@@ -228,7 +228,7 @@ class Panel:
         """
         at = [(self.x.drawn(row[x]), self.y.drawn(row[y])) for row in rows]
         empty = [hollow(row) for row in rows]
-        name, colour, marker, line = look
+        name, colour, marker, line = style
         there = (("lines", line), ("markers", marker))
         self.traces.append(
             go.Scatter(
@@ -252,12 +252,18 @@ class Panel:
             ]
 
     def kinds(
-        self, rows: Sequence[Row], key: str, x: str, y: str, looks: Mapping[Any, Look], **more: Any
+        self,
+        rows: Sequence[Row],
+        key: str,
+        x: str,
+        y: str,
+        styles: Mapping[Any, Style],
+        **more: Any,
     ) -> None:
         """Draw the points of every kind. The value in a column determines the kind of a row. `more`
         contains further arguments of `points`."""
         for kind, mine in by(rows, key).items():
-            self.points(mine, x, y, looks[kind], **more)
+            self.points(mine, x, y, styles[kind], **more)
 
     def heat(
         self, x: Sequence[float], y: Sequence[float], z: Sequence[Sequence[float | None]],

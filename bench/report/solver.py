@@ -7,7 +7,7 @@ import numpy as np
 from harness import shown
 from report.axis import Axis
 from report.chart import Data, Drawn, Sheet, column, parts
-from report.panels import OURS, PEER, SECOND, Look, Panels, Row, by
+from report.panels import BASELINE, OURS, SECOND, Panels, Row, Style, by
 
 MIN_ERROR = 1e-11
 """Minimum drawn error [mu mg]. Smaller errors are rounding errors, and are drawn at this value."""
@@ -15,7 +15,7 @@ MIN_ERROR = 1e-11
 MAX_ERROR = 1e-4
 """Maximum error of a force with which a request counts as met [mu mg]."""
 
-METHODS = {"sinusoids": Look("B: sinusoids", OURS), "rotations": Look("A: rotations", SECOND)}
+METHODS = {"sinusoids": Style("B: sinusoids", OURS), "rotations": Style("A: rotations", SECOND)}
 """Appearance of both methods."""
 
 
@@ -28,23 +28,23 @@ def solver_rows(data: Data) -> Sheet:
 def solver(rows: list[Row]) -> Drawn:
     """Return the chart of error against solution time for single requests of averaged forces, with
     baselines."""
-    looks = {
-        "RotationSolver": Look("A: RotationSolver", SECOND, "s"),
-        "scipy lm": Look("scipy least_squares (lm)", PEER, "x"),
-        "SinusoidSolver": Look("B: SinusoidSolver", OURS, "o"),
+    styles = {
+        "RotationSolver": Style("A: RotationSolver", SECOND, "s"),
+        "scipy lm": Style("scipy least_squares (lm)", BASELINE, "x"),
+        "SinusoidSolver": Style("B: SinusoidSolver", OURS, "o"),
     }
     groups, panels = by(rows, "parts", "method"), Panels()
     counts = sorted(by(rows, "parts"))
     for count in counts:
         panel = panels.add(
             parts(count), Axis("time of one cold solve [ms]", log=True),
-            Axis("maximum force error [mu mg]", log=True, least=MIN_ERROR), "less less",
+            Axis("maximum force error [mu mg]", log=True, minimum=MIN_ERROR), "less less",
         )  # fmt: skip
-        for method, look in looks.items():
+        for method, style in styles.items():
             mine = groups[count, method]
-            panel.points(mine, "ms", "error", look, in_front=False)
+            panel.points(mine, "ms", "error", style, in_front=False)
             typical = {key: float(np.median(column(mine, key))) for key in ("ms", "error")}
-            median = Look(f"{look.name}, median", look.colour, "D")
+            median = Style(f"{style.name}, median", style.colour, "D")
             panel.points([typical], "ms", "error", median)
         panel.mark(typical["ms"], typical["error"])
         panel.rule("required", y=MAX_ERROR)
@@ -54,25 +54,25 @@ def solver(rows: list[Row]) -> Drawn:
         met = 100 * np.mean([error <= MAX_ERROR for error in column(mine, "error")])
         return f"{met:.0f} % in {shown(float(np.median(column(mine, 'ms'))))} ms"
 
-    lead = " ".join(
+    text = " ".join(
         f"Of the requests with {parts(n)}, Method B solves {solved_text(n, 'SinusoidSolver')}, and "
         f"scipy {solved_text(n, 'scipy lm')}."
         for n in sorted({counts[0], counts[-1]})
     )
     met = f"A solved request has an error of at most {MAX_ERROR:g} mu mg."
-    return Drawn(panels, f"{lead} {met} Times are medians.")
+    return Drawn(panels, f"{text} {met} Times are medians.")
 
 
 def options(rows: list[Row]) -> Drawn:
     """Return the chart of the simulated error against the solution time, for all options of both
     methods and for scipy."""
-    looks = {
-        ("B", "restarts"): Look("B: sinusoids, increasing restarts", OURS, "o", "-"),
-        ("A", "restarts"): Look("A: rotations, increasing restarts", SECOND, "s", "-"),
-        ("B", "paper"): Look("B on the paper's map", OURS, "v"),
-        ("A", "paper"): Look("A on the paper's map", SECOND, "^"),
-        ("scipy, our derivatives", ""): Look("scipy, exact derivatives", PEER, "D", "-"),
-        ("scipy, own differences", ""): Look("scipy, finite differences", PEER, "x", "--"),
+    styles = {
+        ("B", "restarts"): Style("B: sinusoids, increasing restarts", OURS, "o", "-"),
+        ("A", "restarts"): Style("A: rotations, increasing restarts", SECOND, "s", "-"),
+        ("B", "paper"): Style("B on the paper's map", OURS, "v"),
+        ("A", "paper"): Style("A on the paper's map", SECOND, "^"),
+        ("scipy, our derivatives", ""): Style("scipy, exact derivatives", BASELINE, "D", "-"),
+        ("scipy, own differences", ""): Style("scipy, finite differences", BASELINE, "x", "--"),
     }
     panels = Panels()
     for count, these in by(rows, "parts").items():
@@ -80,9 +80,9 @@ def options(rows: list[Row]) -> Drawn:
             parts(count), Axis("median time of a cold solve [ms]", log=True),
             Axis("drift error in the simulator, RMS [%]", log=True), "less less",
         )  # fmt: skip
-        for (method, option), look in looks.items():
+        for (method, option), style in styles.items():
             mine = [r for r in these if r["method"] == method and option in r["option"]]
-            panel.points(mine, "median_ms", "missed_percent", look, note="{option}")
+            panel.points(mine, "median_ms", "missed_percent", style, note="{option}")
         for r in these:
             if r["default"] and r["method"] == "B":
                 panel.mark(r["median_ms"], r["missed_percent"])
@@ -93,10 +93,10 @@ def options(rows: list[Row]) -> Drawn:
         return " / ".join(f"{r['missed_percent']:.0f} % in {r['median_ms']:.0f} ms" for r in mine)
 
     counts = sorted(by(rows, "parts"))
-    lead = " ".join(
+    text = " ".join(
         f"With {parts(n)}, Method B has an error of {error_text(n, 'B', '40 restarts')}, Method A "
         f"{error_text(n, 'A', '1 restarts')}, and scipy with finite differences "
         f"{error_text(n, 'scipy, own differences', '3 restarts')}."
         for n in sorted({counts[0], counts[-1]})
     )
-    return Drawn(panels, lead)
+    return Drawn(panels, text)

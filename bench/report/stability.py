@@ -11,7 +11,7 @@ from maps.grid import Grid, StabilityMap
 from maps.stability import borders, nearness
 from report.axis import Axis, edges
 from report.chart import Data, Drawn, Sheet
-from report.panels import PEER, Look, Panels, Row, by
+from report.panels import BASELINE, Panels, Row, Style, by
 
 MAX_NAMED = 14
 """Maximum number of integer values on an axis for which each value has a label."""
@@ -26,7 +26,7 @@ def rows_of(data: Data, one: StabilityMap) -> Sheet:
     return Sheet.of([{key: r[key] for key in heads} for r in mine], heads)
 
 
-def words_of(one: StabilityMap) -> dict[str, str]:
+def texts_of(one: StabilityMap) -> dict[str, str]:
     """Return the texts of one map's chart."""
     reading = f"Colours: {one.z_label}; border at {one.level:g}. "
     reading += f"Border by theory: {one.line_label}. {one.note}"
@@ -50,13 +50,13 @@ def add_panel(panels: Panels, one: StabilityMap, grid: Grid) -> None:
     )
     observed, _ = borders(one, grid)
     lines = {
-        Look("measured border", "black", "", "-"): (grid.x, observed),
-        Look("theory", PEER, "", "--"): (grid.line_x, grid.line_y),
+        Style("measured border", "black", "", "-"): (grid.x, observed),
+        Style("theory", BASELINE, "", "--"): (grid.line_x, grid.line_y),
     }
-    for look, places in lines.items():
+    for style, places in lines.items():
         line = [{"x": a, "y": b} for a, b in zip(*places, strict=True) if np.isfinite(b)]
         corners = steps(line, grid.x, "x" in one.log) if one.steps else line
-        panel.points(corners, "x", "y", look)
+        panel.points(corners, "x", "y", style)
 
 
 def axis(one: StabilityMap, name: str, label: str, values: Sequence[float]) -> Axis:

@@ -7,7 +7,7 @@ from plate_sim.friction import TOLERANCE
 from plate_sim.world import STEP
 from report.axis import Axis
 from report.chart import Data, Drawn, Sheet, column, table
-from report.panels import FAINT, LIMIT, OURS, PEER, SECOND, THIRD, Look, Panels, Row, by
+from report.panels import BASELINE, FAINT, LIMIT, OURS, SECOND, THIRD, Panels, Row, Style, by
 
 MIN_MM = 1e-12
 """Minimum drawn error [mm]. Smaller errors are rounding errors, and are drawn at this value."""
@@ -16,10 +16,11 @@ DEFAULT_TOLERANCE = f"{TOLERANCE:g} m"
 """Default setting of the simulator."""
 
 SIMULATORS = {
-    "by events": Look("points, by events", OURS), "in steps": Look("points, in steps", SECOND, "s"),
-    "plate_sim": Look("discs", OURS), "bodies": Look("rotating bodies", SECOND, "s"),
-    "pymunk": Look("pymunk", PEER, "D"), "MuJoCo": Look("MuJoCo", THIRD, "^"),
-    "scipy RK45": Look("scipy", FAINT, "x"),
+    "by events": Style("points, by events", OURS),
+    "in steps": Style("points, in steps", SECOND, "s"),
+    "plate_sim": Style("discs", OURS), "bodies": Style("rotating bodies", SECOND, "s"),
+    "pymunk": Style("pymunk", BASELINE, "D"), "MuJoCo": Style("MuJoCo", THIRD, "^"),
+    "scipy RK45": Style("scipy", FAINT, "x"),
 }  # fmt: skip
 """Appearance of the simulator's methods and of the baselines."""
 
@@ -59,12 +60,12 @@ def sim(rows: list[Row]) -> Drawn:
     parts."""
     panels, cases = Panels(), by(rows, "case")
     speed = Axis("simulated time per CPU time [s/s]", log=True)
-    for case, key, title, label, error, least, line in SIMULATED:
-        looks = {method: look._replace(line=line) for method, look in SIMULATORS.items()}
+    for case, key, title, label, error, minimum, line in SIMULATED:
+        styles = {method: style._replace(line=line) for method, style in SIMULATORS.items()}
         for value, mine in sorted(by(cases[case], key).items()):
-            y = Axis(label, log=True, least=least)
+            y = Axis(label, log=True, minimum=minimum)
             panel = panels.add(title.format(value), speed, y, "more less")
-            panel.kinds(mine, "method", "speed", error, looks, note="{setting}")
+            panel.kinds(mine, "method", "speed", error, styles, note="{setting}")
             for row in filter(is_default, mine):
                 panel.mark(row["speed"], row[error])
     lead = ", ".join(f"{r['lead']:.0f}" for r in cases["lead"] if r["lead"])
@@ -111,23 +112,23 @@ def cost(rows: list[Row]) -> Drawn:
         "All stages, one image", Axis("parts on the plate", ticks=tuple(counts)),
         Axis("median time for one image [ms]", log=True),
     )  # fmt: skip
-    for key, *look in (
-        ("solver", "solver", OURS, "o", "-"), ("vision", "vision", PEER, "s", "-"),
+    for key, *style in (
+        ("solver", "solver", OURS, "o", "-"), ("vision", "vision", BASELINE, "s", "-"),
         ("driver", "driver", SECOND, "D", "-"), ("planner", "planner", THIRD, "^", "-"),
         ("simulator", "simulator", FAINT, "v", ":"), ("camera", "camera", FAINT, "x", "--"),
         ("answer", "image to setpoints", "#111111", "", "-"),
         ("period", "limit: one cycle", LIMIT, "", "-"),
     ):  # fmt: skip
-        first.points(stages, "parts", key, Look(*look))
+        first.points(stages, "parts", key, Style(*style))
     second = panels.add(
         "The simulator", Axis("parts", log=True), Axis("CPU time for 1 s [s]", log=True)
     )
-    for key, *look in (
+    for key, *style in (
         ("by events", "points, by events", OURS, "o", "-"),
         ("in steps", "parts, in steps", SECOND, "s", "-"),
-        ("pymunk", "pymunk, 1 ms", PEER, "x", "-"),
+        ("pymunk", "pymunk, 1 ms", BASELINE, "x", "-"),
     ):
-        second.points(models, "parts", key, Look(*look))
+        second.points(models, "parts", key, Style(*style))
     second.rule("real time", y=1)
     last = stages[-1]
     return Drawn(
@@ -146,9 +147,9 @@ def span(rows: list[Row], key: str) -> str:
 
 def vision(rows: list[Row]) -> Drawn:
     """Return the chart of error against time for finding discs, with a panel for each scene."""
-    colours, methods = (OURS, PEER, SECOND, THIRD, "#8a6d00", LIMIT), list(by(rows, "method"))
-    looks = {
-        name: Look(name, *look) for name, *look in zip(methods, colours, "osD^vx", strict=False)
+    colours, methods = (OURS, BASELINE, SECOND, THIRD, "#8a6d00", LIMIT), list(by(rows, "method"))
+    styles = {
+        name: Style(name, *style) for name, *style in zip(methods, colours, "osD^vx", strict=False)
     }
     scenes = by([r for r in rows if r["rms_px"] is not None], "place", "discs")
     panels = Panels()
@@ -158,7 +159,7 @@ def vision(rows: list[Row]) -> Drawn:
             Axis("error of the centres, RMS [px]", log=True), "less less",
         )  # fmt: skip
         note = "missed {missed_percent:.0f} %, false {false_percent:.0f} %"
-        panel.kinds(mine, "method", "loop_ms", "rms_px", looks, hollow=is_wrong, note=note)
+        panel.kinds(mine, "method", "loop_ms", "rms_px", styles, hollow=is_wrong, note=note)
         panel.mark(mine[0]["loop_ms"], mine[0]["rms_px"])
     ours = [r for r in rows if r["method"] == methods[0]]
     return Drawn(

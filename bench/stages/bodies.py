@@ -26,16 +26,16 @@ GAMMA = 20
 CYCLES = 6
 """Number of simulated cycles, 0.2 s."""
 
-PLACE, SPEED, TURN = (0.05, 0.03), (0.08, -0.05), 6.0
+PLACE, SPEED, OMEGA = (0.05, 0.03), (0.08, -0.05), 6.0
 """Initial position [m], velocity [m/s] and spin [rad/s] of the disc."""
 
-TRUE_CELLS, PEER_CELLS = (24, 48), (8, 16)
+TRUE_CELLS, BASELINE_CELLS = (24, 48), (8, 16)
 """Numbers of rings of equal area and of cells per ring, for the reference and the baseline."""
 
 STEPS_MS = (1.0, 0.5, 0.2, 0.1, 0.05, 0.02)
 TOLERANCES = (1e-3, 1e-4, 1e-5)
 
-OURS, PEER = "bodies", "scipy RK45"
+OURS, BASELINE = "bodies", "scipy RK45"
 
 
 def measure(quick: bool) -> Result:
@@ -43,8 +43,8 @@ def measure(quick: bool) -> Result:
     truth = by_scipy(TRUE_CELLS, "DOP853", 1e-5 if quick else 1e-8)
     cases = [(OURS, f"{ms:g} ms", partial(by_steps, ms)) for ms in STEPS_MS]
     for tolerance in TOLERANCES[:1] if quick else TOLERANCES:
-        run = partial(by_scipy, PEER_CELLS, "RK45", tolerance)
-        cases.append((PEER, f"rtol {tolerance:g}", run))
+        run = partial(by_scipy, BASELINE_CELLS, "RK45", tolerance)
+        cases.append((BASELINE, f"rtol {tolerance:g}", run))
     rows = [
         {
             "method": method, "setting": setting, "error_mm": 1e3 * apart(run(), truth),
@@ -58,14 +58,14 @@ def measure(quick: bool) -> Result:
 def apart(one: np.ndarray, other: np.ndarray) -> float:
     """Return the difference of two poses (3,) [m, m, rad] of the disc as a distance [m]. This is
     the distance of the centres or the distance of a point on the contour, whichever is larger."""
-    x, y, turn = one - other
-    return max(float(np.hypot(x, y)), RADIUS * abs(turn))
+    x, y, angle = one - other
+    return max(float(np.hypot(x, y)), RADIUS * abs(angle))
 
 
 def by_steps(step_ms: float) -> np.ndarray:
     """Simulate the disc with plate_sim in steps [ms]. Return its final pose (3,) [m, m, rad]."""
     run = simulate_bodies(
-        exact_cycle(GAMMA, SPIN), disc(RADIUS), np.array([PLACE]), 0, np.array([SPEED]), TURN, MU,
+        exact_cycle(GAMMA, SPIN), disc(RADIUS), np.array([PLACE]), 0, np.array([SPEED]), OMEGA, MU,
         GRAVITY, CYCLES, 1, 1e-3 * step_ms,
     )  # fmt: skip
     return np.append(run.position[-1, 0], run.angle[-1, 0])
@@ -88,10 +88,10 @@ def by_scipy(cells: tuple[int, int], method: str, tolerance: float) -> np.ndarra
         uy = twist[1] + twist[2] * (px + x - pose[0]) - (vy + spin * x)
         size = np.maximum(np.hypot(ux, uy), 1e-9)  # the minimum of 1e-9 m/s avoids a division by 0
         fx, fy = ux / size, uy / size
-        turn = MU_G * float(np.mean(x * fy - y * fx)) / (RADIUS**2 / 2)
-        return [vx, vy, spin, MU_G * float(fx.mean()), MU_G * float(fy.mean()), turn]
+        angular = MU_G * float(np.mean(x * fy - y * fx)) / (RADIUS**2 / 2)
+        return [vx, vy, spin, MU_G * float(fx.mean()), MU_G * float(fy.mean()), angular]
 
-    start = [*PLACE, 0.0, *SPEED, TURN]
+    start = [*PLACE, 0.0, *SPEED, OMEGA]
     end = CYCLES / FREQUENCY
     found = solve_ivp(
         slope, (0, end), start, method, [end], rtol=tolerance, atol=1e-3 * tolerance,

@@ -310,9 +310,9 @@ def drawn(kind: Kind, seed: int) -> Scene:
         more["size"] = np.array([kind.sizes[k % len(kind.sizes)] for k in range(count)])
     begin, path = place, place
     if kind.blur_px:
-        way, middle = rng.uniform(0, 2 * np.pi, count), np.array(real.camera.corners_px)
+        direction, middle = rng.uniform(0, 2 * np.pi, count), np.array(real.camera.corners_px)
         px_m = float(np.linalg.norm(middle[1] - middle[0]) / real.plate.length_m)
-        step = kind.blur_px / px_m * np.stack([np.cos(way), np.sin(way)], axis=1)
+        step = kind.blur_px / px_m * np.stack([np.cos(direction), np.sin(direction)], axis=1)
         begin, path = place - step / 2, np.stack([place - step / 2, place + step / 2])
     images = []
     for shot in range(TYPED_SHOTS if kind.typed else SHOTS):
@@ -334,14 +334,14 @@ def drawn(kind: Kind, seed: int) -> Scene:
 def spread(rig: Rig, types: Sequence[PartType], rng: np.random.Generator) -> np.ndarray:
     """Return random centres (n, 2) [m] of typed parts, each in a separate cell of a grid."""
     reach = max(part.reach_m for part in types)
-    room = rig.plate.half - reach
+    limit = rig.plate.half - reach
     columns, lines = 10, 6
     cell = 2 * rig.plate.half / (columns, lines)
     chosen = rng.permutation(columns * lines)[: len(types)]
     middle = -rig.plate.half + cell * (np.column_stack([chosen % columns, chosen // columns]) + 0.5)
     own = np.array([part.reach_m for part in types])[:, None]
     free = np.maximum(cell / 2 - own - 0.001, 0)
-    return np.clip(middle + rng.uniform(-1, 1, middle.shape) * free, -room, room)
+    return np.clip(middle + rng.uniform(-1, 1, middle.shape) * free, -limit, limit)
 
 
 def compressed(image: np.ndarray, quality: int) -> np.ndarray:
@@ -380,13 +380,13 @@ def row_of(kind: Kind, count: int) -> dict[str, Any]:
     for seed in range(FIRST_SEED, FIRST_SEED + count):
         one = drawn(kind, seed)
         began = time.process_time()
-        for number, (tracker, said) in enumerate(seen(one)):
+        for number, (tracker, named_parts) in enumerate(seen(one)):
             times.append(time.process_time() - began)
             began = time.process_time()
             if not kind.typed and number < len(one.images) - 1:
                 continue
-            # A part that is published with the class unknown counts as not detected. `said` states
-            # whether the detector has reported such a problem.
+            # A part that is published with the class unknown counts as not detected. `named_parts`
+            # states whether the detector has reported such a problem.
             named = [not name.startswith("unknown") for name in tracker.parts.ids]
             found = tracker.parts.position[named]
             ids = [name for name, kept in zip(tracker.parts.ids, named, strict=True) if kept]
@@ -403,7 +403,7 @@ def row_of(kind: Kind, count: int) -> dict[str, Any]:
                 )
             if len(i) < len(one.position):
                 lost += 1
-                reported += said
+                reported += named_parts
     error = 1e3 * np.array(gaps)
     return {
         "scene": kind.name,

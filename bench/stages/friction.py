@@ -84,14 +84,14 @@ def row(rig: Rig, world: tuple[float, ...], seeds: Sequence[int]) -> dict[str, A
              found.between_parts, found.over_plate, found.static_ratio, found.static_error,
              np.max(np.abs(errors)))
         )  # fmt: skip
-    mean, most = np.mean(values, axis=0), np.max(values, axis=0)
+    mean, maxima = np.mean(values, axis=0), np.max(values, axis=0)
     return {
         "exact": round(float(mean[0]), 4), "measured": f"{mean[1]:.4f} +- {mean[2]:.4f}",
-        "worst": f"{100 * most[8]:.1f} %", "spread": f"{100 * mean[3]:.1f} %",
+        "worst": f"{100 * maxima[8]:.1f} %", "spread": f"{100 * mean[3]:.1f} %",
         "between": f"{100 * mean[4]:.1f} %", "patches": f"{100 * patches / np.sqrt(3):.1f} %",
         "over": f"{100 * mean[5]:.1f} %", "static": static,
         "ratio": f"{mean[6]:.2f} +- {mean[7]:.2f}",
-        "mean_error": abs(mean[1] / mean[0] - 1), "part_error": most[8],
+        "mean_error": abs(mean[1] / mean[0] - 1), "part_error": maxima[8],
         "ratio_error": abs(mean[6] - static), "patchy": patches / np.sqrt(3),
     }  # fmt: skip
 
@@ -114,7 +114,7 @@ def measured(
         assert image is not None
         return observe(vision, tracker, image, now, None)
 
-    def look(tracker: Tracker, now: float) -> tuple[Tracker, float, Rest]:
+    def take_image(tracker: Tracker, now: float) -> tuple[Tracker, float, Rest]:
         images = []
         for _ in range(IMAGES):
             tracker = seen(tracker, now)
@@ -126,7 +126,7 @@ def measured(
             raise PlateError("parts do not rest")
         return tracker, now, rest
 
-    tracker, now, rest = look(tracker, now)
+    tracker, now, rest = take_image(tracker, now)
     measurement, true = FrictionMeasurement.start(rig, rest), []
     start = simulation.state.position
     # the detector and the simulation name the parts differently, so match them by position
@@ -140,7 +140,7 @@ def measured(
             simulation.run(motion)
             now += motion.period
         true.append(simulation.mu)
-        tracker, now, rest = look(tracker, now)
+        tracker, now, rest = take_image(tracker, now)
         measurement = measurement.after(rest)
     mean = np.mean(true, axis=0)
     return measurement.result, {name: float(mean[number]) for name, number in row_of.items()}

@@ -64,7 +64,7 @@ def measure(quick: bool) -> Result:
     return Result(tables, summary)
 
 
-def run_case(case: str, *words: object) -> Any:
+def run_case(case: str, *arguments: object) -> Any:
     """Run a case of `tools/robustness.py`, and return its result."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "result.json"
@@ -73,7 +73,7 @@ def run_case(case: str, *words: object) -> Any:
             str(ROOT / "tools/robustness.py"),
             "--case",
             case,
-            *map(str, words),
+            *map(str, arguments),
         ]
         # The exit code is ignored, because the rows in the file contain the same information.
         done = subprocess.run(

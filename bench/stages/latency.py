@@ -23,11 +23,11 @@ QUICK_S = 6.0
 def measure(quick: bool) -> Result:
     """Sort ten parts in real time."""
     apart, together = measured(quick, one_process=False), measured(quick, one_process=True)
-    shares = apart[1] | {"all in one process": together[1]["one_process"]}
+    cpu_fractions = apart[1] | {"all in one process": together[1]["one_process"]}
     tables = [
         Table.of("latency", apart[0]),
         Table.of("latency_one_process", together[0]),
-        Table.of("cpu", cpu(shares)),
+        Table.of("cpu", cpu(cpu_fractions)),
     ]
     return Result(tables)
 
@@ -39,13 +39,13 @@ def measured(quick: bool, one_process: bool) -> tuple[list[dict[str, Any]], dict
 
     from plate_bringup import RunOptions
 
-    most = 1 if quick else TASKS
+    count = 1 if quick else TASKS
     with TemporaryDirectory() as logs:
         options = RunOptions(scenario="sort_10", autostart=False, one_process=one_process)
         run = work_again(
             options,
             Path(logs),
-            lambda series: len(series.tasks) >= most,
+            lambda series: len(series.tasks) >= count,
             longest_s=QUICK_S if quick else TASK_S,
         )
         *_, series = run
@@ -56,6 +56,6 @@ def measured(quick: bool, one_process: bool) -> tuple[list[dict[str, Any]], dict
     return rows, series.cpu
 
 
-def cpu(shares: dict[str, float]) -> list[dict[str, Any]]:
+def cpu(fractions: dict[str, float]) -> list[dict[str, Any]]:
     """Return the CPU use of each process [% of a core]."""
-    return [{"node": name, "cpu": 100 * share} for name, share in shares.items()]
+    return [{"node": name, "cpu": 100 * fraction} for name, fraction in fractions.items()]

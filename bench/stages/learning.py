@@ -72,9 +72,9 @@ def random_cycle(seed: int) -> PlateCycle:
     amplitude[0] = 0
     amplitude = closed_at_rest(frequency, amplitude, np.tile(rate**4, 3))
     t = np.linspace(0, PERIOD, 8 * HARMONICS + 1)
-    turn = 2j * np.pi * frequency[:, None]
-    waves = np.exp(np.outer(t, turn[:, 0]))
-    states = [(waves @ (amplitude * turn**order)).real for order in range(3)]
+    rotation = 2j * np.pi * frequency[:, None]
+    waves = np.exp(np.outer(t, rotation[:, 0]))
+    states = [(waves @ (amplitude * rotation**order)).real for order in range(3)]
     size = 30 / np.max(np.abs(states[2]))
     for state in states:
         state *= size
@@ -120,7 +120,7 @@ def error(rig: Rig, cycle: PlateCycle, command: PlateCycle) -> float:
     return 100 * float(np.linalg.norm((got - target) * scale) / np.linalg.norm(target * scale))
 
 
-def judged(rig: Rig, iteration: int, response: Response, cycles: int) -> dict[str, Any]:
+def evaluated(rig: Rig, iteration: int, response: Response, cycles: int) -> dict[str, Any]:
     """Return a row with the errors of cycles that the learning procedure does not use."""
     tries = [random_cycle(1000 + k) for k in range(cycles)]
     errors = [error(rig, cycle, response.command(cycle)) for cycle in tries]
@@ -133,13 +133,13 @@ def iterations(rig: Rig, cycles: int) -> list[dict[str, Any]]:
     plate, calibration = Plate(real, 1), Calibration.start(rig)
     frequency = np.arange(1, COUNT + 1) / PERIOD_S
     response = Response.identity(rig, frequency)
-    rows = [judged(real, 0, response, cycles)]
+    rows = [evaluated(real, 0, response, cycles)]
     while calibration.cycle is not None:
         plate.play(calibration.cycle, calibration.settle)
         read = plate.read(calibration.cycle, calibration.measure)
         calibration = calibration.with_experiment(*read)
         response = response.updated(calibration.commanded[-1], calibration.measured[-1])
-        rows.append(judged(real, len(rows), response, cycles))
+        rows.append(evaluated(real, len(rows), response, cycles))
     response = calibration.response
     while len(rows) <= MAX_EXPERIMENTS:
         again = Calibration.start(rig, seed=len(rows))
@@ -148,5 +148,5 @@ def iterations(rig: Rig, cycles: int) -> list[dict[str, Any]]:
         plate.play(cycle, again.settle)
         again = again.with_experiment(*plate.read(cycle, again.measure))
         response = response.updated(again.commanded[0], again.measured[0], TRUST)
-        rows.append(judged(real, len(rows), response, cycles))
+        rows.append(evaluated(real, len(rows), response, cycles))
     return rows

@@ -34,10 +34,10 @@ COUNTS = (1, 3, 10, 30, 100)
 PERIOD, HARMONICS, SIZE_M = 0.1, 4, 2.5e-3
 """Period [s], number of harmonics, and approximate amplitude [m] of the plate's motion."""
 
-TURN = 0.03
+ANGLE = 0.03
 """Approximate amplitude of the plate's rotation, in scenes with rotation [rad]."""
 
-RIMS = 0.2
+EDGE_FRICTION = 0.2
 """Friction coefficient between parts that touch on a rotating plate."""
 
 CYCLES = 3
@@ -46,10 +46,10 @@ CYCLES = 3
 FINE = 1e-5
 """Time step of the reference in scenes where parts cannot be simulated as points [s]."""
 
-PEER_STEP = 1e-3
+BASELINE_STEP = 1e-3
 """Time step of pymunk [s]."""
 
-MODEL, JUDGE, PYMUNK = "one model", "by events", "pymunk"
+MODEL, BY_EVENTS, PYMUNK = "one model", "by events", "pymunk"
 
 
 @dataclass(frozen=True)
@@ -74,16 +74,16 @@ class Scene:
     @classmethod
     def of(cls, kind: str, count: int) -> Scene:
         """Return a scene with `count` moving parts on a grid."""
-        rig, touching, turns = load_rig(), "touching" in kind, "rotating" in kind
+        rig, touching, rotates = load_rig(), "touching" in kind, "rotating" in kind
         spacing = 2 * rig.parts.radius_m + 4e-4 if touching else 0.037
         k, columns = np.arange(count), int(np.ceil(np.sqrt(2 * count)))
         place = spacing * np.column_stack([k % columns, k // columns])
         speed = np.random.default_rng(3).normal(0, 0.08 if touching else 0.03, (count, 2))
         ids = tuple(f"black_{i + 1}" for i in k)
         return cls(
-            kind, hung(rig) if kind == "suspension" else rig, shaking(TURN if turns else 0.0),
+            kind, hung(rig) if kind == "suspension" else rig, shaking(ANGLE if rotates else 0.0),
             replace(WorldState.at_rest(ids, place - place.mean(0)), velocity=speed),
-            Contacts(friction=RIMS if touching and turns else 0.0),
+            Contacts(friction=EDGE_FRICTION if touching and rotates else 0.0),
         )  # fmt: skip
 
     def motions(self, cycles: int) -> Iterator[PlateCycle | PlateMotion]:
@@ -103,7 +103,7 @@ class Scene:
             state = run_cycle(state, motion, self.rig, step=step, contacts=self.contacts)
         return state.position
 
-    def judge(self, cycles: int = CYCLES, tolerance: float = 1e-7) -> np.ndarray:
+    def by_events(self, cycles: int = CYCLES, tolerance: float = 1e-7) -> np.ndarray:
         """Return the final positions (M, 2) [m] of the parts, simulated as points without
         collisions."""
         place, speed, friction = self.state.position, self.state.velocity, self.rig.friction
@@ -115,7 +115,7 @@ class Scene:
     def truth(self) -> np.ndarray:
         """Return the reference positions of the parts after one cycle (M, 2) [m]."""
         if self.kind in ("apart", "suspension"):
-            return self.judge(1, 1e-10)
+            return self.by_events(1, 1e-10)
         return self.run(1, step=FINE)
 
     def in_pymunk(self, cycles: int = CYCLES) -> PymunkScene:
@@ -123,17 +123,18 @@ class Scene:
         plate."""
         radius = self.rig.parts.radius_m if "touching" in self.kind else 0.0
         return PymunkScene(
-            self.cycle, PEER_STEP, cycles * PERIOD, self.state.position,
+            self.cycle, BASELINE_STEP, cycles * PERIOD, self.state.position,
             self.rig.friction.accel, self.state.velocity, radius,
         )  # fmt: skip
 
 
-def shaking(turn: float) -> PlateCycle:
-    """Return a motion of several harmonics along x and y, and rotations of about `turn` [rad]."""
+def shaking(rotation: float) -> PlateCycle:
+    """Return a motion of several harmonics along x and y, and rotations of about `rotation`
+    [rad]."""
     t, h = np.arange(96) / 96, np.arange(1, HARMONICS + 1)[:, None, None]
     rng = np.random.default_rng(7)
     phase, size = rng.uniform(0, 2 * np.pi, (HARMONICS, 3, 1)), rng.normal(size=(HARMONICS, 3, 1))
-    pose = np.sum(size / h * np.sin(2 * np.pi * h * t + phase), 0).T * [SIZE_M, SIZE_M, turn]
+    pose = np.sum(size / h * np.sin(2 * np.pi * h * t + phase), 0).T * [SIZE_M, SIZE_M, rotation]
     return PlateCycle.from_samples(PERIOD, pose)
 
 
@@ -149,8 +150,8 @@ def measure(quick: bool) -> Result:
 def scene_rows(scene: Scene, seconds: float) -> list[dict[str, Any]]:
     """Return a row for every method."""
     truth = scene.truth()
-    ends = {MODEL: scene.run(1), JUDGE: scene.judge(1)}
-    runs: dict[str, Callable[[], object]] = {MODEL: scene.run, JUDGE: scene.judge}
+    ends = {MODEL: scene.run(1), BY_EVENTS: scene.by_events(1)}
+    runs: dict[str, Callable[[], object]] = {MODEL: scene.run, BY_EVENTS: scene.by_events}
     if optional(PYMUNK) and scene.kind in ("apart", "touching"):
         ends[PYMUNK] = scene.in_pymunk(1).run()
         runs[PYMUNK] = scene.in_pymunk().run

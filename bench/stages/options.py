@@ -27,7 +27,7 @@ from plate_solver import (
     SinusoidSolver,
 )
 from plate_solver.sinusoids import Motions, Problem, descend, limited_sinusoids
-from stages.scenes import scatter
+from stages.scenes import random_positions
 
 SEED = 50_000
 """First seed of the requests. The number of parts is added to this seed."""
@@ -42,7 +42,7 @@ HARMONICS = {2: 8, 4: 8, 6: 8, 10: 12}
 """Number of harmonics, by number of parts. `SinusoidSolver` chooses the same numbers for exact
 drifts."""
 
-B_RESTARTS, A_RESTARTS, PEER_RESTARTS = (0, 1, 3, 10, 40), (0, 1, 4), (0, 3)
+B_RESTARTS, A_RESTARTS, SCIPY_RESTARTS = (0, 1, 3, 10, 40), (0, 1, 4), (0, 3)
 METHODS = {"A": "rotations", "B": "sinusoids"}
 
 Contestant = Callable[[Goal], PlateCycle]
@@ -92,7 +92,7 @@ def period_of(parts: int) -> float:
 
 def request(rig: Rig, parts: int, rng: np.random.Generator) -> Goal:
     """Return a request for drifts of parts at rest."""
-    position = scatter(rig, parts, rng)
+    position = random_positions(rig, parts, rng)
     still, period = np.zeros_like(position), period_of(parts)
     displacement = period * rng.uniform(-DRIFT, DRIFT, position.shape)
     return Goal(position, still, displacement, still, np.array([rig.friction.accel]))
@@ -109,8 +109,8 @@ def miss(rig: Rig, goal: Goal, cycle: PlateCycle) -> float:
 def good_enough(goal: Goal) -> tuple[float, float]:
     """Return the tolerance of a request and the maximum error of a met request [m], both as in
     `Controller`."""
-    least = DRIFT_TOLERANCE * period_of(len(goal.position))
-    return least, max(EXACT_MISS * goal.size, least)
+    tolerance = DRIFT_TOLERANCE * period_of(len(goal.position))
+    return tolerance, max(EXACT_MISS * goal.size, tolerance)
 
 
 def contestants(rig: Rig, parts: int) -> dict[tuple[str, str], Contestant]:
@@ -126,10 +126,10 @@ def contestants(rig: Rig, parts: int) -> dict[tuple[str, str], Contestant]:
     b = SinusoidSolver(rig, harmonics=number, period=period, at_rest=True, restarts=3)
     found["B", "paper's map"] = averaged(b, period)
     found["A", "paper's map"] = averaged(RotationSolver(rig, period=period, restarts=1), period)
-    for restarts in PEER_RESTARTS:
+    for restarts in SCIPY_RESTARTS:
         for own, derivatives in ((True, "own differences"), (False, "our derivatives")):
-            peer = Peer(rig, parts, own, restarts)
-            found[f"scipy, {derivatives}", f"{restarts} restarts"] = peer.answer
+            search = ScipySearch(rig, parts, own, restarts)
+            found[f"scipy, {derivatives}", f"{restarts} restarts"] = search.answer
     return found
 
 
@@ -155,7 +155,7 @@ def averaged(solver: SinusoidSolver | RotationSolver, period: float) -> Contesta
     return run
 
 
-class Peer:
+class ScipySearch:
     """scipy's trust-region least squares with Method B's unknowns.
 
     Parameters

@@ -96,8 +96,8 @@ def exact_cycle(gamma: float, spin: float = 0.0) -> PlateCycle:
     later.
     """
     phase = np.linspace(0, 2 * np.pi, 20001)
-    most = np.max(np.abs(np.cos(phase) - np.sin(2 * phase)))
-    speed = gamma * MU_G / (2 * np.pi * FREQUENCY) / most * np.array([1.0, 0.0, spin])
+    peak = np.max(np.abs(np.cos(phase) - np.sin(2 * phase)))
+    speed = gamma * MU_G / (2 * np.pi * FREQUENCY) / peak * np.array([1.0, 0.0, spin])
     return wave_cycle(FREQUENCY, speed, late=np.array([0.0, 0.0, 0.5 * np.pi]))
 
 
@@ -107,14 +107,14 @@ def alike(gamma: float, count: int) -> Scene:
     return Scene(exact_cycle(gamma), position, np.zeros((count, 2)))
 
 
-def all_ways(gamma: float, count: int) -> Scene:
+def random_directions(gamma: float, count: int) -> Scene:
     """Return the exact scene with random initial velocities of the parts."""
     scene = alike(gamma, count)
     velocity = np.random.default_rng(1).normal(0, SPEED, (count, 2))
     return Scene(scene.cycle, scene.position, velocity)
 
 
-LARGEST = 0.2
+MAX_FORCE = 0.2
 """Maximum length of target forces [mu m g]."""
 
 
@@ -123,13 +123,13 @@ TRIES = 1000
 required gaps."""
 
 
-def scatter(rig: Rig, parts: int, rng: np.random.Generator) -> np.ndarray:
+def random_positions(rig: Rig, parts: int, rng: np.random.Generator) -> np.ndarray:
     """Return random positions (M, 2) [m]. The distance between two parts is at least 40 mm. The
     distance from the edges is at least 15 % of the plate's size."""
-    room = 0.85 * rig.plate.half
+    limit = 0.85 * rig.plate.half
     while True:
         before = rng.bit_generator.state
-        tried = rng.uniform(-room, room, (TRIES, parts, 2))
+        tried = rng.uniform(-limit, limit, (TRIES, parts, 2))
         good = np.arange(TRIES)
         for k in range(1, parts):
             gaps = np.linalg.norm(tried[good, :k] - tried[good, k, None], axis=2)
@@ -138,7 +138,7 @@ def scatter(rig: Rig, parts: int, rng: np.random.Generator) -> np.ndarray:
         # one
         if len(good):
             rng.bit_generator.state = before
-            return rng.uniform(-room, room, (good[0] + 1, parts, 2))[-1]
+            return rng.uniform(-limit, limit, (good[0] + 1, parts, 2))[-1]
 
 
 def targets(
@@ -147,7 +147,7 @@ def targets(
     """Return random positions (M, 2) [m] and forces (M, 2) [mu m g]."""
     found = []
     for _ in range(count):
-        position = scatter(rig, parts, rng)
-        angle, size = rng.uniform(0, 2 * np.pi, parts), LARGEST * np.sqrt(rng.uniform(size=parts))
+        position = random_positions(rig, parts, rng)
+        angle, size = rng.uniform(0, 2 * np.pi, parts), MAX_FORCE * np.sqrt(rng.uniform(size=parts))
         found.append((position, size[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])))
     return found

@@ -16,20 +16,20 @@ from plate_sim.friction import TOLERANCE
 from plate_sim.world import STEP
 from stages.mujoco_scene import MujocoScene
 from stages.pymunk_scene import PymunkScene
-from stages.scenes import CYCLES, EXACT_M, FREQUENCY, MU, MU_G, Scene, alike, all_ways
+from stages.scenes import CYCLES, EXACT_M, FREQUENCY, MU, MU_G, Scene, alike, random_directions
 from stages.tray import tray_rows
 
 EVENTS, STEPS, PYMUNK, MUJOCO = "by events", "in steps", "pymunk", "MuJoCo"
 """Methods: the reference, the simulator's model of parts, and the baselines."""
 
-PEER_STEP_MS = 0.1
+PYMUNK_STEP_MS = 0.1
 """Time step of pymunk. With this step pymunk's error in the exact scene is 0.12 %. Speeds are
 compared at this error."""
 
-SPAN, PEER_SPAN = CYCLES / FREQUENCY, 0.1
+SPAN, BASELINE_SPAN = CYCLES / FREQUENCY, 0.1
 """Simulated time of a scene, and of a timed run of a baseline [s]."""
 
-MUJOCO_LEAST_MS = 0.05
+MUJOCO_MIN_MS = 0.05
 """Minimum time step of MuJoCo [ms]. Shorter steps take long and are not more accurate."""
 
 WIDE_M = 2.0
@@ -44,7 +44,7 @@ def measure(quick: bool) -> Result:
     CPU time."""
     tables = [
         Table.of("error", error_rows(quick)),
-        Table.of("speed", speed_rows(quick), step=PEER_STEP_MS),
+        Table.of("speed", speed_rows(quick), step=PYMUNK_STEP_MS),
         Table.of("cost", cost_rows(quick), step=1e3 * STEP),
         Table.of("discs", tray_rows(quick)),
     ]
@@ -56,15 +56,15 @@ def rms(values: Any) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def peer_scene(scene: Scene, dt: float, span: float, offset: float = 0.5) -> PymunkScene:
+def pymunk_scene(scene: Scene, dt: float, span: float, offset: float = 0.5) -> PymunkScene:
     """Return pymunk's scene. `offset` is the time in a step at which the plate's velocity is
     evaluated."""
     return PymunkScene(scene.cycle, dt, span, scene.position, MU_G, scene.velocity, offset=offset)
 
 
-def peer_travel(scene: Scene, dt: float, offset: float) -> np.ndarray:
+def pymunk_travel(scene: Scene, dt: float, offset: float) -> np.ndarray:
     """Return the displacement of pymunk's parts in 1 s (M, 2) [m]."""
-    return np.asarray(peer_scene(scene, dt, SPAN, offset).run() - scene.position)
+    return np.asarray(pymunk_scene(scene, dt, SPAN, offset).run() - scene.position)
 
 
 Setting = tuple[str, str, list[float], Callable[[], object], float]
@@ -108,35 +108,36 @@ def settings(scene: Scene, exact: float, quick: bool) -> Iterator[Setting]:
         if optional(PYMUNK):
             spans = [SPAN / (CYCLES * count + 3 * i) for i in repeats]
             both = [
-                [peer_travel(scene, span, offset)[0, 0] - exact for span in spans]
+                [pymunk_travel(scene, span, offset)[0, 0] - exact for span in spans]
                 for offset in (0.5, 1.0)
             ]
-            peer = peer_scene(scene, dt, PEER_SPAN)
-            yield PYMUNK, name, min(both, key=rms), peer.run, PEER_SPAN
-        if optional("mujoco") and step_ms >= MUJOCO_LEAST_MS:
+            baseline = pymunk_scene(scene, dt, BASELINE_SPAN)
+            yield PYMUNK, name, min(both, key=rms), baseline.run, BASELINE_SPAN
+        if optional("mujoco") and step_ms >= MUJOCO_MIN_MS:
             long, short = (
-                MujocoScene(scene.cycle, dt, span, scene.position, MU) for span in (SPAN, PEER_SPAN)
+                MujocoScene(scene.cycle, dt, span, scene.position, MU)
+                for span in (SPAN, BASELINE_SPAN)
             )
             error = long.run()[0, 0] - scene.position[0, 0] - exact
-            yield MUJOCO, name, [error], short.run, PEER_SPAN
+            yield MUJOCO, name, [error], short.run, BASELINE_SPAN
 
 
 def speed_rows(quick: bool) -> list[dict[str, Any]]:
     """For each number of parts, return a row with the speeds of the methods. All methods are
     compared at the error of pymunk. The parts move in all directions."""
     counts, there = (1, 10, 100), optional(PYMUNK)
-    return [{"parts": count, "lead": lead(count, quick) if there else None} for count in counts]
+    return [{"parts": count, "lead": speedup(count, quick) if there else None} for count in counts]
 
 
-def lead(count: int, quick: bool) -> float:
+def speedup(count: int, quick: bool) -> float:
     """Return the ratio of the simulator's speed to pymunk's, at the same error."""
-    scene, dt = all_ways(20, count), 1e-3 * PEER_STEP_MS
+    scene, dt = random_directions(20, count), 1e-3 * PYMUNK_STEP_MS
     truth = scene.travel(1e-11)
-    error = min(rms(peer_travel(scene, dt, offset) - truth) for offset in (0.5, 1.0))
+    error = min(rms(pymunk_travel(scene, dt, offset) - truth) for offset in (0.5, 1.0))
     ours = partial(scene.travel, loosest(scene, truth, error))
-    run = peer_scene(scene, dt, PEER_SPAN)
+    run = pymunk_scene(scene, dt, BASELINE_SPAN)
     timed = race({"ours": ours, PYMUNK: run.run}, 0.3 if quick else 2.0)
-    return SPAN / PEER_SPAN * timed.lead("ours", PYMUNK)
+    return SPAN / BASELINE_SPAN * timed.speedup("ours", PYMUNK)
 
 
 def loosest(scene: Scene, truth: np.ndarray, limit: float) -> float:
@@ -151,7 +152,7 @@ def cost_rows(quick: bool) -> list[dict[str, Any]]:
     """Return rows of simulated seconds per second of every method, for 1 to 1000 parts."""
     rows = []
     for count in (1, 100) if quick else (1, 3, 10, 30, 100, 300, 1000):
-        scene = all_ways(20, count)
+        scene = random_directions(20, count)
         side = int(np.ceil(np.sqrt(count)))
         place = SPACING_M * (np.arange(side) - 0.5 * (side - 1))
         grid = np.stack(np.meshgrid(place, place), axis=-1).reshape(-1, 2)[:count]
@@ -161,8 +162,8 @@ def cost_rows(quick: bool) -> list[dict[str, Any]]:
             STEPS: partial(run_world, scene.cycle, scene.position),
         }
         if optional(PYMUNK):
-            contestants[PYMUNK] = peer_scene(scene, 1e-3, PEER_SPAN).run
-        spans = {EVENTS: SPAN, STEPS: 3 / FREQUENCY, PYMUNK: PEER_SPAN}
+            contestants[PYMUNK] = pymunk_scene(scene, 1e-3, BASELINE_SPAN).run
+        spans = {EVENTS: SPAN, STEPS: 3 / FREQUENCY, PYMUNK: BASELINE_SPAN}
         timed = race(contestants, 0.3 if quick else 1.5)
         rows.append({"parts": count} | {n: spans[n] / timed.median(n) for n in contestants})
     return rows

@@ -24,7 +24,7 @@ more parameters than the request has force components. `SinusoidSolver` chooses 
 PERIOD_PER_HARMONIC = 0.025
 """Period per harmonic [s]. Averaged forces do not depend on the period."""
 
-ROTATION_SHARE = 3
+ROTATION_STRIDE = 3
 """`RotationSolver` gets only every third target, because it takes ten times as long."""
 
 TOLERANCE = 1e-4
@@ -37,12 +37,12 @@ SAMPLES = 1024
 """Number of samples in scipy's final steps. These samples resolve most short minima of the slip
 speed."""
 
-JUDGE_SAMPLES = 6007
+CHECK_SAMPLES = 6007
 """Number of samples per cycle from which the error of each solution is computed. This number is not
 a multiple of any method's number of samples. Therefore errors between the samples of a method are
 visible too."""
 
-OURS, PEER, ROTATIONS = METHODS = "SinusoidSolver", "scipy lm", "RotationSolver"
+OURS, BASELINE, ROTATIONS = METHODS = "SinusoidSolver", "scipy lm", "RotationSolver"
 """Methods. scipy is least_squares(method='lm') with the project's Jacobian on the same samples,
 from random starts, with the same final steps on fine samples. The times of the project's solvers
 include the computation of the final PlateCycle within the rig's limits. For RotationSolver, they
@@ -69,26 +69,26 @@ def solve_all(rig: Rig, parts: int, count: int) -> list[dict[str, Any]]:
         rig, harmonics=number, period=period, tolerance=TOLERANCE, restarts=RESTARTS
     )
     rotations = RotationSolver(rig, restarts=RESTARTS)
-    peer = ScipySolver(rig, number, period)
+    baseline = ScipySolver(rig, number, period)
     rng = np.random.default_rng(parts)
     samples = []
     for index, (position, force) in enumerate(targets(rig, parts, count + 1, rng)):
         ours.reset()
         rotations.reset()
-        peer.reset()
-        for method, solver in ((OURS, ours), (PEER, peer), (ROTATIONS, rotations)):
-            if method == ROTATIONS and index and index % ROTATION_SHARE != 1:
+        baseline.reset()
+        for method, solver in ((OURS, ours), (BASELINE, baseline), (ROTATIONS, rotations)):
+            if method == ROTATIONS and index and index % ROTATION_STRIDE != 1:
                 continue
             answer, seconds = timed(solver.solve, position, force)
             if not index:  # do not count the first request, because it includes the warm-up
                 continue
-            t = (np.arange(JUDGE_SAMPLES) + 0.5) / JUDGE_SAMPLES
+            t = (np.arange(CHECK_SAMPLES) + 0.5) / CHECK_SAMPLES
             if isinstance(answer, np.ndarray):
-                basis = sinusoid_basis(number, period, False, JUDGE_SAMPLES)
-                twist = basis.twist @ peer.family.coefficients(answer)
+                basis = sinusoid_basis(number, period, False, CHECK_SAMPLES)
+                twist = basis.twist @ baseline.family.coefficients(answer)
             else:
                 twist = answer.cycle.twist(t * answer.cycle.period)
-            still, equal = np.zeros_like(position), np.ones(JUDGE_SAMPLES)
+            still, equal = np.zeros_like(position), np.ones(CHECK_SAMPLES)
             got = step_forces(position, still, twist, equal)[:, :2]
             samples.append(
                 {

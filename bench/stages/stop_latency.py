@@ -206,8 +206,8 @@ def measure(quick: bool) -> Result:
             times = latencies(QUICK_STOPS if quick else STOPS, domain, **condition)
             rows.append({
                 "condition": name, "stops": len(times),
-                "median_ms": float(np.median([most for most, _ in times])) if times else None,
-                "worst_ms": max((most for most, _ in times), default=None),
-                "least_ms": max((least for _, least in times), default=None),
+                "median_ms": float(np.median([high for high, _ in times])) if times else None,
+                "worst_ms": max((high for high, _ in times), default=None),
+                "least_ms": max((low for _, low in times), default=None),
             })  # fmt: skip
     return Result([Table.of("stops", rows, most=MAX_MS)])

@@ -45,7 +45,7 @@ GRIDS = {10: (5, 2), 100: (20, 5), 300: (30, 10)}
 """Columns and rows of the grid, by number of discs."""
 
 
-MUJOCO_MOST = 100
+MUJOCO_MAX = 100
 """Maximum number of discs for MuJoCo. With more it takes too long."""
 
 
@@ -105,8 +105,8 @@ def overlap(path: np.ndarray) -> float:
     """Return the maximum overlap of two discs, or of a disc and a wall, at any step (k, M, 2)
     [m]."""
     i, j = np.triu_indices(path.shape[1], 1)
-    least = min(float(np.linalg.norm(p[i] - p[j], axis=1).min()) for p in path)
-    return max(0.0, 2 * RADIUS - least, float(np.max(np.abs(path) - (HALF - RADIUS))))
+    min_gap = min(float(np.linalg.norm(p[i] - p[j], axis=1).min()) for p in path)
+    return max(0.0, 2 * RADIUS - min_gap, float(np.max(np.abs(path) - (HALF - RADIUS))))
 
 
 def tray_rows(quick: bool) -> list[dict[str, Any]]:
@@ -133,7 +133,7 @@ def disc_rows(tray: Scene, quick: bool) -> list[dict[str, Any]]:
     cases = [(OURS, n) for n in dict.fromkeys((*steps, own))]
     cases += [(PYMUNK, n) for n in steps[::2] if optional(PYMUNK)]
     cases += [
-        (MUJOCO, n) for n in steps[:1] if optional("mujoco") and len(tray.position) <= MUJOCO_MOST
+        (MUJOCO, n) for n in steps[:1] if optional("mujoco") and len(tray.position) <= MUJOCO_MAX
     ]
 
     def trace(name: str, n: int) -> np.ndarray:

@@ -65,7 +65,7 @@ WORLDS: tuple[dict[str, float], ...] = (
 """Differences of the simulated worlds from the model that the loop assumes. The first world has no
 difference."""
 
-LEFT = ("effect", "formula", "assumed", "size")
+NEGLECTED = ("effect", "formula", "assumed", "size")
 """Columns of the table of neglected effects."""
 
 DENSITY, STIFFNESS, PLATE_DENSITY, POISSON = 7850.0, 70e9, 2700.0, 0.33
@@ -92,10 +92,10 @@ PRESLIDING_M = 1e-6
 
 def measure(quick: bool) -> Result:
     """Measure creep and tasks, and estimate the neglected effects."""
-    there = [method for peer, method in PEERS if optional(peer)]
+    there = [method for package, method in BASELINES if optional(package)]
     tables = [
         Table.of("creep", creep_rows([*OURS, *there], 0.5 if quick else CREEP_S), span=CREEP_S),
-        Table.of("left_out", left_out(load_rig())),
+        Table.of("left_out", neglected(load_rig())),
         Table.of("worlds", world_rows(1 if quick else 3)),
     ]
     return Result(tables, missing("pymunk", "mujoco"))
@@ -175,9 +175,9 @@ OURS: list[Method] = [
     ("plate_sim, square", 1e3 * STEP, partial(in_steps, SQUARE)),
 ]
 
-PEERS: list[tuple[str, Method]] = [
-    (peer, (name, ms, partial(run, 1e-3 * ms)))
-    for peer, name, run in (
+BASELINES: list[tuple[str, Method]] = [
+    (package, (name, ms, partial(run, 1e-3 * ms)))
+    for package, name, run in (
         ("pymunk", "pymunk, pivot of limited force", in_pymunk),
         ("mujoco", "MuJoCo, dry friction of joints", in_joints),
         ("mujoco", "MuJoCo, contact", in_contact),
@@ -189,7 +189,7 @@ PEERS: list[tuple[str, Method]] = [
 """Required package, and method."""
 
 
-def left_out(rig: Rig) -> list[dict[str, str]]:
+def neglected(rig: Rig) -> list[dict[str, str]]:
     """Return the effects that the simulator neglects on a rig, with their sizes by formulas."""
     mu, g, m, r = rig.friction.mu, rig.friction.gravity, rig.parts.mass_kg, rig.parts.radius_m
     a, s = rig.limits.accel, 2 / pi * rig.limits.speed
@@ -235,12 +235,12 @@ def left_out(rig: Rig) -> list[dict[str, str]]:
         ("wear of a part", "k m g s t/(H A)", "k = 1e-4, H = 1 GPa, an hour",
          f"{1e6 * WEAR * m * g * s * 3600 / (HARDNESS * area):.2f} um"),
     ]  # fmt: skip
-    return [dict(zip(LEFT, row, strict=True)) for row in rows]
+    return [dict(zip(NEGLECTED, row, strict=True)) for row in rows]
 
 
-def percent(share: float) -> str:
+def percent(fraction: float) -> str:
     """Return a fraction as a percentage with two digits."""
-    return f"{100 * share:.2g} %"
+    return f"{100 * fraction:.2g} %"
 
 
 def world_rows(seeds: int) -> list[dict[str, Any]]:

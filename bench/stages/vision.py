@@ -20,7 +20,7 @@ from plate_vision import detect, make_vision
 
 OURS = "plate_vision.detect"
 
-FRAMES, PEER_FRAMES = 250, 20
+FRAMES, BASELINE_FRAMES = 250, 20
 """Number of images of each scene: 1000 in total for the project's detector, fewer for the baselines
 to save time. All methods are timed with the smaller number of images."""
 
@@ -125,10 +125,10 @@ def scene_rows(
         grey = part_greys([("black", "grey")[i % 2] for i in range(count)])
         images.append(camera.render(position, grey, rng))
         truths.append(project(matrix, position))
-    loop, turns = times_of(finders, images[:PEER_FRAMES], 1 if quick else ROUNDS)
+    loop, alternating = times_of(finders, images[:BASELINE_FRAMES], 1 if quick else ROUNDS)
     rows = []
     for name, find in finders.items():
-        frames = len(images) if name == OURS else min(PEER_FRAMES, len(images))
+        frames = len(images) if name == OURS else min(BASELINE_FRAMES, len(images))
         found = [find(image) for image in images[:frames]]
         pairs = [paired(*two, reach) for two in zip(found, truths[:frames], strict=True)]
         errors = np.concatenate([gap for _, _, gap in pairs])
@@ -140,9 +140,9 @@ def scene_rows(
                 "method": name,
                 "frames": frames,
                 "loop_ms": 1e3 * float(np.median(loop[name])),
-                "turns_ms": 1e3 * float(np.median(turns[name])),
+                "turns_ms": 1e3 * float(np.median(alternating[name])),
                 "loop_lead": float(np.median(loop[name]) / np.median(loop[OURS])),
-                "turns_lead": float(np.median(turns[name] / turns[OURS])),
+                "turns_lead": float(np.median(alternating[name] / alternating[OURS])),
                 "rms_px": float(np.sqrt(np.mean(errors**2))) if len(errors) else None,
                 "missed_percent": 100 * (1 - len(errors) / true),
                 "false_percent": 100 * (sum(map(len, found)) - len(errors)) / true,
@@ -157,15 +157,15 @@ def times_of(
     """Return the times (rounds, images) [s] of every method, in a separate loop, and in turn with
     the others."""
     loop = {name: np.empty((rounds, len(images))) for name in finders}
-    turns = {name: np.empty((rounds, len(images))) for name in finders}
+    alternating = {name: np.empty((rounds, len(images))) for name in finders}
     for k in range(rounds):
         for name, find in finders.items():
             find(images[0])
             loop[name][k] = [timed(find, image)[1] for image in images]
         for i, image in enumerate(images):
             for name, find in finders.items():
-                turns[name][k, i] = timed(find, image)[1]
-    return loop, turns
+                alternating[name][k, i] = timed(find, image)[1]
+    return loop, alternating
 
 
 def layout(rig: Rig, count: int, touching: bool, rng: np.random.Generator) -> np.ndarray:
@@ -173,10 +173,10 @@ def layout(rig: Rig, count: int, touching: bool, rng: np.random.Generator) -> np
     three."""
     radius = rig.parts.radius_m
     columns, lines, group = (11, 5, 3) if touching else (18, 8, 1)
-    room = rig.plate.half - radius
-    cell = 2 * room / (columns, lines)
+    limit = rig.plate.half - radius
+    cell = 2 * limit / (columns, lines)
     chosen = rng.permutation(columns * lines)[: -(-count // group)]
-    centre = -room + cell * (np.column_stack([chosen % columns, chosen // columns]) + 0.5)
+    centre = -limit + cell * (np.column_stack([chosen % columns, chosen // columns]) + 0.5)
     if not touching:
         return centre + rng.uniform(-0.5, 0.5, centre.shape) * (cell - 2.5 * radius)
     # Three discs of radius r touch each other if their centres have the distance 2 r / sqrt(3) from

@@ -74,9 +74,9 @@ class Driven(Direct):
         return [PlateMotion(times, quintic_pieces(times, *np.stack(states, axis=1)))]
 
     def _target(self) -> np.ndarray:
-        share = min(self._into / BUS_STEPS, 1) if self._interpolates else 1
+        fraction = min(self._into / BUS_STEPS, 1) if self._interpolates else 1
         fed = 2 / self._rate * self._speed if self._fed else 0
-        return self._from + (self._goal - self._from) * share + fed
+        return self._from + (self._goal - self._from) * fraction + fed
 
     def _followed(self, dt: float) -> np.ndarray:
         """Advance the plate by a time step, and return its state (3, 3): pose, twist and

@@ -47,7 +47,7 @@ def measure(quick: bool) -> Result:
         for task in (SCENARIOS[:1] if quick else SCENARIOS)
     }
     predicted_cases = {(*kind, "feasible"): [(rig, kind[1])] for kind, rig in kinds.items()}
-    predictions = by_case(judged, predicted_cases, cache)
+    predictions = by_case(predicted, predicted_cases, cache)
     cases = {
         kind: [(Setup(kind[1], seed), UNEVEN, rig) for seed in seeds] for kind, rig in kinds.items()
     }
@@ -80,7 +80,7 @@ def rigs() -> dict[str, Rig]:
     }
 
 
-def judged(rig: Rig, scenario: str) -> dict[str, Any]:
+def predicted(rig: Rig, scenario: str) -> dict[str, Any]:
     """Return the prediction of `feasible` for a task."""
     verdict = rehearse_task(rig, load_scenario(scenario))
     return {

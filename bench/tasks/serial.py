@@ -59,8 +59,8 @@ def measure(quick: bool) -> Result:
 def fault_row(kind: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
     """Return the row that summarises the runs with one kind of accident."""
     sums = {key: sum(row[key] for row in runs) for key in ("done", "stopped", "kept", "resting")}
-    most = {key: max(row[key] for row in runs) for key in ("enables", "used")}
-    return {"kind": kind, **sums, **most, "stuck": len(runs) - sums["done"] - sums["stopped"]}
+    maxima = {key: max(row[key] for row in runs) for key in ("enables", "used")}
+    return {"kind": kind, **sums, **maxima, "stuck": len(runs) - sums["done"] - sums["stopped"]}
 
 
 def accident_run(kind: str, seed: int) -> dict[str, Any]:
@@ -70,7 +70,7 @@ def accident_run(kind: str, seed: int) -> dict[str, Any]:
     faults = FaultSchedule(LineFaults(baud=BAUD, **trouble))
     short = read_scenario(Fields(SHORT, "short", PlateError), "short")
     last, line = serial_run(Setup(short, seed), faults, event, at)
-    phase, verdict = last.progress.phase, line.judge.verdict()
+    phase, verdict = last.progress.phase, line.plate_check.verdict()
     done = phase == "done" and last.world.dropped == 0
     return {
         "done": done, "stopped": not done and bool(line.troubles) and phase in ("stuck", "aborted"),

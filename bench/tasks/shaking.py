@@ -52,7 +52,7 @@ TICK_S = 0.1
 """Period at which the robot's state is updated while the plate rests [s], as in the project's
 loop."""
 
-LOOK_TICKS, THROW_TICKS = 2, 6
+IMAGE_TICKS, THROW_TICKS = 2, 6
 """Duration of an image with settling and evaluation, and of an idealised shake [`TICK_S`]."""
 
 SAMPLES = 240
@@ -79,9 +79,9 @@ def waveform() -> tuple[np.ndarray, np.ndarray]:
     direction and fast in the other."""
     t = 2 * np.pi * np.arange(SAMPLES) / SAMPLES
     order = np.arange(1, HARMONICS + 1)
-    share = 2 * (1 - order / (HARMONICS + 1))
-    velocity = -share @ np.cos(order[:, None] * t)
-    place = -(share / order) @ np.sin(order[:, None] * t) / (2 * np.pi)
+    weight = 2 * (1 - order / (HARMONICS + 1))
+    velocity = -weight @ np.cos(order[:, None] * t)
+    place = -(weight / order) @ np.sin(order[:, None] * t) / (2 * np.pi)
     return place, velocity
 
 
@@ -95,7 +95,7 @@ def shaken(rig: Rig, axis: np.ndarray) -> PlateCycle:
 def conveyed(rig: Rig, cycle: PlateCycle, axis: int) -> np.ndarray:
     """Return the distances (MAX_CYCLES,) [m] that a part moves along an axis in 1, 2, ... cycles,
     until it is at rest again."""
-    ways = []
+    distances = []
     for count in range(1, MAX_CYCLES + 1):
         position, velocity = np.zeros((1, 2)), np.zeros((1, 2))
         for motion, repeats in ((cycle, count), (PlateCycle.rest(COAST_S), 1)):
@@ -103,8 +103,8 @@ def conveyed(rig: Rig, cycle: PlateCycle, axis: int) -> np.ndarray:
                 motion, position, velocity, rig.friction.mu, rig.friction.gravity, repeats
             )
             position, velocity = found.position[-1], found.velocity[-1]
-        ways.append(float(position[0, axis]))
-    return np.array(ways)
+        distances.append(float(position[0, axis]))
+    return np.array(distances)
 
 
 class Shaker:
@@ -131,7 +131,7 @@ class Shaker:
         self.robot, self.tally = Robot.ready(cycle_s), Tally()
         self.listed: list[tuple[float, float, float]] = []
         self.parts = Parts.make((), np.zeros((0, 2)))
-        self._asked = self._in_view = False
+        self._requested = self._in_view = False
         self._rng = np.random.default_rng([setup.seed, 7])
         self._rest = PlateCycle.rest(TICK_S)
         self._vision = make_vision(self.rig)
@@ -139,7 +139,7 @@ class Shaker:
             bare = np.stack([self.simulation.capture_bare() for _ in range(BARE_IMAGES)])
             self._vision = replace(self._vision, background=learn_plate(bare))
         centre = np.array([self.rig.plate.half[0] / 2, 0.0])
-        self._turns = [shaken(self.rig, turn_about(c)) for c in (centre, -centre)]
+        self._rotations = [shaken(self.rig, rotation_about(c)) for c in (centre, -centre)]
         self._pushes = [shaken(self.rig, axis) for axis in np.eye(3)[:2]]
         self._conveyed = [conveyed(self.rig, cycle, k) for k, cycle in enumerate(self._pushes)]
 
@@ -158,7 +158,7 @@ class Shaker:
             while self._in_view:
                 yield self._rest
             image, stamp = None, self.tally.time_s
-            for _ in range(LOOK_TICKS):
+            for _ in range(IMAGE_TICKS):
                 yield self._rest
                 image = self.simulation.capture() if image is None else image
             if image is not None:
@@ -204,15 +204,15 @@ class Shaker:
         mine = [part_class(name) == self.task.picks[0].label for name in self.parts.ids]
         if np.any(mine):
             low, high = pick_window(self.task.picks[0], self.rig)
-            way = (low + high) / 2 - self.parts.position[mine].mean(axis=0)
+            displacement = (low + high) / 2 - self.parts.position[mine].mean(axis=0)
             for axis, cycle in enumerate(self._pushes):
-                far = CONVEY * abs(way[axis])
+                far = CONVEY * abs(displacement[axis])
                 for _ in range(int(np.searchsorted(self._conveyed[axis], far))):
-                    yield cycle if way[axis] > 0 else mirrored(cycle)
-        for cycle in self._turns:
-            turn = mirrored(cycle) if self._rng.random() < 0.5 else cycle
+                    yield cycle if displacement[axis] > 0 else mirrored(cycle)
+        for cycle in self._rotations:
+            rotation = mirrored(cycle) if self._rng.random() < 0.5 else cycle
             for _ in range(round(STIR_S / 2 / cycle.period)):
-                yield turn
+                yield rotation
         while self.tally.time_s < began + open_s:
             yield self._rest
 
@@ -222,10 +222,10 @@ class Shaker:
             before = self.robot
             self.robot, act = before.step(self.tally.time_s)
             if act is Act.REQUEST:
-                self._asked = True
-            if self._asked and self.listed:
+                self._requested = True
+            if self._requested and self.listed:
                 self.robot = self.robot.after_reply(self.listed[0], self.tally.time_s)
-                self._asked = False
+                self._requested = False
             if act is None:
                 return
             if act is Act.LEAVE:
@@ -245,7 +245,7 @@ class Shaker:
         self.tally.time_s += cycle.period
 
 
-def turn_about(centre: np.ndarray) -> np.ndarray:
+def rotation_about(centre: np.ndarray) -> np.ndarray:
     """Return the axis (3,) [m, m, rad] of small rotations about a point (2,) [m]."""
     return np.array([centre[1], -centre[0], 1.0])
 

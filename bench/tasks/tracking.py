@@ -93,10 +93,10 @@ def row_of(
     solver = SinusoidSolver(rig) if method == "sinusoids" else RotationSolver(rig)
     period = solver.steering_period(count)
     speed = 1e-3 * speed_mm
-    least = laps(speed) * 2 * np.pi * RADIUS_M / speed
+    shortest_s = laps(speed) * 2 * np.pi * RADIUS_M / speed
     # Three periods are subtracted, because a task begins with one cycle at rest and ends with the
     # complete cycle of the last lap's end.
-    delay = max((run["time_s"] - 3 * period) / least for run in runs)
+    delay = max((run["time_s"] - 3 * period) / shortest_s for run in runs)
     row = summed(runs)
     kept = row["good"] == len(runs) and row["worst_rms_mm"] <= 1e3 * MAX_RMS_M
     return row | {

@@ -374,7 +374,7 @@ def test_stamps_that_scatter_are_put_right_as_frames_are_regular():
     for estimator, truth in run_free(30.0, 0.03, 0.03, jitter=0.005, cycles=60):
         if len(estimator.parts):
             errors.append(np.abs(estimator.parts.position - truth).max())
-    assert estimator.frames.scatter == pytest.approx(0.005, rel=0.3)
+    assert estimator.frames.noise_s == pytest.approx(0.005, rel=0.3)
     assert np.median(errors[30:]) < 0.2e-3
 
 

@@ -30,7 +30,7 @@ def test_the_scatter_of_stamps_is_taken_out(rate, dropped):
         clock, errors = clocked(rate, dropped=dropped, seed=seed)
         assert np.sqrt(np.mean(errors**2)) < 0.5 * 0.005
         assert clock.rate == pytest.approx(rate, rel=5e-3)
-        assert clock.scatter == pytest.approx(0.005, rel=0.5)
+        assert clock.noise_s == pytest.approx(0.005, rel=0.5)
 
 
 @pytest.mark.parametrize("rate", [60.0, 120.0])

@@ -90,7 +90,7 @@ def test_a_target_angle_becomes_a_rotation_from_the_predicted_angle(heavy):
     request = CycleRequest.make(
         moving(PLACE[:1], angle=np.array([0.1])), targets=Targets(free, free, free, 0.0, angles)
     )
-    goal = goal_of(heavy, request, turn=np.array([0.05]))
+    goal = goal_of(heavy, request, rotation=np.array([0.05]))
     assert (goal.turns.low[0], goal.turns.high[0]) == pytest.approx((0.15, 0.35))
     assert goal.turns.weight[0] == 0.02
 
