@@ -56,7 +56,7 @@ def line_run(baud: int, lost: float, delay_s: float, play_s: float, stops: int) 
                     pass
             if tick % POLL_TICKS == 0:
                 transport.poll()
-                operator.look(emulator.now)
+                operator.check(emulator.now)
             playing = emulator.device.playing
             if plays and playing and playing != (played[-1] if played else 0):
                 played.append(playing)
