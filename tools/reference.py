@@ -42,9 +42,9 @@ def page() -> str:
 def _sections(sections: Iterable[Section]) -> Iterable[str]:
     """Yield the sections of a file."""
     for section in sections:
-        yield f"\n### `{section.where}`\n\n{section.about}\n\n"
+        yield f"\n### `{section.where}`\n\n{section.about}\n"
         for key in section.keys:
-            yield f"- `{key.name}` ({_what(key)}{_default(key)}): {key.meaning}\n"
+            yield f"\n- `{key.name}` ({_what(key)}{_default(key)}): {key.meaning}\n"
 
 
 def _what(key: Key) -> str:

@@ -45,8 +45,8 @@ def force_map(rows: list[Row]) -> Drawn:
         panels,
         f"The function `average_force` takes {best['us']:.0f} µs. The 99th percentile of its error "
         f"is {best['p99']:.0e} mu mg. The function is {quad['us'] / best['us']:.0f} times as fast "
-        "as scipy's quad. Sums over equal time steps are faster, but their error exceeds "
-        f"{MAX_P99:g} mu mg a hundredfold if the plate's surface is almost at rest at the part.",
+        "as scipy's quad. Sums over equal time steps are faster. Their error is more "
+        f"than 100 times {MAX_P99:g} mu mg if the plate is almost at rest below the part.",
         "`average_force` for the evaluation of motions, and `forces` during the search. They are "
         f"the fastest functions with a 99th percentile below {MAX_P99:g} mu mg.",
     )

@@ -23,18 +23,26 @@ methods fail. `make charts` generates the page. `out/report/index.html` has the 
 zoom and all rows.
 
 - A black line connects the results that no other result beats in both time and error.
+
 - A ring marks the default of the project.
+
 - A hollow point means that some runs failed.
+
 - Forces are in mu mg, the sliding friction of one part.
+
 - Method A moves the plate in a sequence of rotations, Method B in a sum of sinusoids.
-- Times are CPU times without ROS. If the computer's load was high, they are up to twice as long.
+
+- Times are CPU times without ROS. If the load of the computer is high, the times are up to twice as
+  long.
+
 - In the stability maps (the last five charts), the black line is the measured border between
-  success and failure. The dashed line is this border by theory.
+  success and failure. The dashed line is the border by theory.
+
 - The line *Data* gives the duration of each measurement, and the computer's load. `make bench
   ARGS=NAME` repeats the measurement.
 
 The solver predicts each motion over two successive plays. The measurements `free_running`,
-`drives`, `rigs`, `feeding` and the films are older: they were made with one play.
+`drives`, `rigs`, `feeding` and the films are older, with a prediction of one play.
 """
 
 

@@ -110,12 +110,12 @@ GROUP = Section(
 
 TASK = Section(
     "task",
-    "The task. Its other keys depend on the kind.",
+    "The task of the scenario.",
     (
         Key(
             "kind",
             Choice(KINDS),
-            "Kind of the task. The sections below list the keys of each kind.",
+            "Kind of the task. The next sections list the other keys of each kind.",
         ),
     ),
 )
