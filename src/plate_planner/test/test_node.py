@@ -174,7 +174,7 @@ def test_a_newer_goal_is_refused_or_preempts(graph):
     graph = graph()
     first = graph.begin()
     assert graph.refused() == (
-        TaskStatus.BUSY, "sort is running: cancel it first, or set the parameter preempt"
+        TaskStatus.BUSY, "the task sort is running: cancel it first, or set the parameter preempt"
     )  # fmt: skip
     graph.planner.set_parameters([Parameter("preempt", value=True)])
     second = graph.send(load_scenario("assemble_8"))
@@ -241,14 +241,15 @@ def test_a_goal_is_refused_with_the_reason(graph):
     graph = graph(driver=None)
     refused = graph.refused()
     not_ready = TaskStatus.NOT_READY
-    text = "sort was not started: no driver_status yet; check that the driver runs"
+    text = "the task sort was not started: no driver_status yet; check that the driver runs"
     assert refused == (not_ready, text)
     for status in (*NOT_READY, ERROR, READY):
         graph.driver = status
         graph.until(lambda text=status.text: graph.driver_text() == text)
         if status is not READY:
-            assert graph.refused() == (not_ready, f"sort was not started: driver: {status.text}")
-    text = "sort was not started: no parts yet; check that the detector and the camera run"
+            why = f"the task sort was not started: driver: {status.text}"
+            assert graph.refused() == (not_ready, why)
+    text = "the task sort was not started: no parts yet; check that the detector and the camera run"
     assert graph.refused() == (not_ready, text)
     name, goal = scenario_to_goal(SORT_4)
     goal.hold_s = float("nan")
@@ -292,7 +293,7 @@ def test_a_second_driver_is_told_of_and_no_task_begins(graph):
     try:
         text = "2 nodes publish driver_status (other_driver, probe), allowed: one"
         graph.until(lambda: graph.planner._monitor.second_publishers())
-        assert graph.refused() == (TaskStatus.NOT_READY, f"sort was not started: {text}")
+        assert graph.refused() == (TaskStatus.NOT_READY, f"the task sort was not started: {text}")
         assert text in graph.report()[1]
     finally:
         other.destroy_node()
