@@ -87,8 +87,8 @@ class Rows:
                     name = next(key for key in now | was if now.get(key) != was.get(key))
                     was, now = was.get(name), now.get(name)
                 raise PlateError(
-                    f"{path}: seed {row['seed']} was run with {name} {was!r}, allowed: {now!r} (as "
-                    "in this command), or another file"
+                    f"{path}: seed {row['seed']} was run with {name} {was!r}, and this command has "
+                    f"{now!r}, allowed: the same {name}, or another file for the results"
                 )
         return rows
 

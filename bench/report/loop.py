@@ -131,16 +131,14 @@ def drives(rows: list[Row]) -> Drawn:
     errors = {
         (r["changed"], r["value"]): shown(r["rms_mm"]) for r in rows if r["drive"] == "interpolated"
     }
-    descriptions = {
-        ("latency_ms", 4): "a latency of 4 ms", ("jitter_ms", 5): "a jitter of up to 5 ms",
-        ("loop_hz", 75): "loops of 75 Hz", ("loop_hz", 300): "loops of 300 Hz",
-    }  # fmt: skip
-    found = ", ".join(f"{errors[case]} mm with {word}" for case, word in descriptions.items())
     return Drawn(
         panels,
         f"The median error is {shown(bridges['rms_mm'])} mm with H-bridges, and "
         f"{errors['latency_ms', 1]} mm with the default drives that interpolate setpoints. With "
-        f"such drives, the error is {found}.",
+        f"such drives, the error is {errors['latency_ms', 4]} mm if the latency is 4 ms, and "
+        f"{errors['jitter_ms', 5]} mm if the jitter is up to 5 ms. If the bandwidth of the drives' "
+        f"position loops is 75 Hz, the error is {errors['loop_hz', 75]} mm, and with 300 Hz it is "
+        f"{errors['loop_hz', 300]} mm.",
     )
 
 

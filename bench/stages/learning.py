@@ -36,7 +36,8 @@ CYCLES = 10
 """Number of evaluated cycles. The plate repeats each cycle until its motion is periodic."""
 
 TRUST = 0.3
-"""Weight of each experiment after the three calibration experiments."""
+"""Fraction of the correction of the response (Broyden's method) that is applied after each
+experiment, except after the three calibration experiments."""
 
 MAX_EXPERIMENTS = 10
 """Number of experiments: three calibration experiments, then further experiments. The response is

@@ -78,7 +78,7 @@ def wave_cycle(
     frequency : float
         [Hz]
     speed : (3,)
-        Speed along x and y, and about the centre.
+        Peak speed along x and y [m/s], and angular speed about the centre [rad/s].
     late : (3,) or float
         Phase delays of the three components [rad].
     """
@@ -92,8 +92,8 @@ def wave_cycle(
 def exact_cycle(gamma: float, spin: float = 0.0) -> PlateCycle:
     """Return the motion of the exact scene with the peak acceleration gamma mu g.
 
-    If `spin` is True, the plate also rotates: theta' has the same waveform, a quarter of a cycle
-    later.
+    The plate also rotates with theta' = `spin` times the velocity along x, a quarter of a cycle
+    later. `spin` has the unit rad/m, and 0 means no rotation.
     """
     phase = np.linspace(0, 2 * np.pi, 20001)
     peak = np.max(np.abs(np.cos(phase) - np.sin(2 * phase)))

@@ -258,7 +258,7 @@ def test_endless_frame_does_not_fill_memory():
         (b"\4\0\0\2", r"Stop.now is 2, allowed: \(0, 1\)"),
         (b"\6\0\0\0\0\x09", r"Trigger.pulse_ms is 9, allowed: \(0, 1, .*, 8\)"),
         (b"\x82\0\0\0\0\x0c", "Acknowledgement.status is 12"),
-        (b"\x11\0\0\0\0\0\0", "Knots has 4 bytes, allowed: 4 [+] n 52, n = 1 to 4"),
+        (b"\x11\0\0\0\0\0\0", "Knots has 4 bytes, allowed: 4 [+] 52 [*] n, n = 1 to 4"),
         (b"\x11\0\0" + bytes(4) + bytes(5 * 52), "Knots has 264 bytes"),
         (b"\x11\0\0" + bytes(52) + struct.pack("<f", float("nan")), "not finite"),
     ],

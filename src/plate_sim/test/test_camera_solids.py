@@ -225,8 +225,10 @@ def test_what_is_off_costs_nothing(monkeypatch):
 
 def test_height_needs_the_cameras_place():
     rig = replace(load_rig(), camera=replace(load_rig().camera, lens=None))
-    with pytest.raises(PlateError, match="height: the camera's position is unknown, allowed: 0"):
+    with pytest.raises(PlateError, match=r"height is \[0\.01, .* allowed: 0"):
         shoot(Camera(rig), PLACES, height=np.full(len(PLACES), 0.01))
+    flat = shoot(Camera(rig), PLACES, height=np.zeros(len(PLACES)))
+    np.testing.assert_array_equal(flat, shoot(Camera(rig), PLACES))
     with pytest.raises(PlateError, match=r"part_height_m is 0\.01, allowed: 0, "):
         Simulation(rig, load_scenario("sort_4"), 1, Disturbances(part_height_m=0.01))
     simulation = Simulation(rig, load_scenario("sort_4"), 1)

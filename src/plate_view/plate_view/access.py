@@ -69,7 +69,7 @@ class Access:
             if token and not (len(token) >= MIN_TOKEN and token.isascii() and token.isalnum()):
                 raise AccessError(
                     f"{name} has {len(token)} characters, allowed: at least {MIN_TOKEN}, "
-                    "letters and digits"
+                    "only letters and digits"
                 )
         if self.operator_token and self.operator_token == self.viewer_token:
             raise AccessError("operator_token and viewer_token are equal, allowed: different ones")

@@ -126,7 +126,7 @@ DICTIONARIES = (
 FIDUCIALS = Section(
     "fiducials (optional)",
     "Markers on the plate. If they are given, the detector computes the frame `plate_home` from "
-    "their positions in the image. Then `corners_px` can be inaccurate.",
+    "their positions in the image. Then a rough value of `corners_px` is enough.",
     (
         Key("dictionary", Choice(DICTIONARIES), "OpenCV's name of a set of ArUco markers."),
         Key("side_m", Number(0.001, 1), "Side length of a marker's black square."),

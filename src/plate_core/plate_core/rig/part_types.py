@@ -66,9 +66,10 @@ TAKEN = ("black", "grey", *NAMELESS)
 of objects that match no type."""
 
 CENTRED = 0.03
-"""Tolerance of a hole's centre and of the corners of a symmetric outline, as a fraction of the
-part's reach (maximum distance between centre and edge). This tolerance covers errors of manufacture
-and measurement."""
+"""Maximum distance between the centre of a disc and the centre of its area without holes, and
+between corners of a symmetric outline that a rotation must map onto each other. Both are fractions
+of the part's reach (maximum distance between centre and edge). They cover errors of manufacture and
+measurement."""
 
 Polygon = tuple[tuple[float, float], ...]
 """Corners (x, y) [m], counter-clockwise."""

@@ -443,7 +443,7 @@ def parse(packet: bytes) -> Packet:
     head, knot = LAYOUTS[Knots].size, LAYOUTS[Knot].size
     count, rest = divmod(len(body) - head, knot)
     if rest or not 1 <= count <= KNOTS_PER_MESSAGE:
-        raise FrameError(f"Knots has {len(body)} bytes, allowed: {head} + n {knot}, n = 1 to 4")
+        raise FrameError(f"Knots has {len(body)} bytes, allowed: {head} + {knot} * n, n = 1 to 4")
     starts = range(head, len(body), knot)
     table, first = LAYOUTS[Knots].unpack_from(body)
     knots = tuple(_read(Knot, body[at : at + knot]) for at in starts)

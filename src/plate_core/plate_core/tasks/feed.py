@@ -92,7 +92,7 @@ def _hopper(fields: Fields, labels: tuple[str, ...], picks: tuple[Pick, ...]) ->
         if unknown := [label for label in mix if label not in labels]:
             hint = did_you_mean(unknown[0], labels)
             raise fields.fail(
-                "mix", f"only the classes of parts, {known}; {unknown[0]!r} is unknown{hint}"
+                "mix", f"only the classes of parts ({known}); {unknown[0]!r} is unknown{hint}"
             )
         total = sum(mix.values())
         if abs(total - 1) > WHOLE:

@@ -26,8 +26,8 @@ MARGIN = 0.03
 or width."""
 
 END = 0.85
-"""Outer end of the area in which the parts of a side or corner must have space, as a fraction of
-the plate's half length or width."""
+"""Outer limit of the area that is used to compute how many parts fit into a side or corner region,
+as a fraction of the plate's half length or width."""
 
 LANE = 0.1
 """Weight of the distance from a lane, for a part whose remaining distance along x is at least

@@ -462,9 +462,11 @@ class Camera:
             return _Solids(kinds, path, top, path, size)
         high = _checked("height", height, (count,))
         if self._place is None:
+            if not high.any():
+                return _Solids(kinds, path, top, path, size)
             raise PlateError(
-                "height: the camera's position is unknown, allowed: 0, or a rig file with focal_px "
-                "or camera: height_m"
+                f"height is {high.tolist()} m and the camera's position is unknown, allowed: 0; "
+                "for other heights, give focal_px or camera: height_m in the rig file"
             )
         low, above = self._place[:2], float(self._place[2])
         if np.any((high < 0) | (high >= above)):

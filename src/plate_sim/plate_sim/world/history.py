@@ -139,7 +139,7 @@ class History:
         angle, spin = _between(run.time, run.angle, run.spin, inside)
         pose, twist = passage.motion.pose(inside)[0], passage.motion.twist(inside)[0]
         # In the samples, a part that left the plate stays at the position where it left the plate.
-        # The first sample with this position is the time at which the part left.
+        # The part left at the time of the first sample with this position.
         left = ~passage.on_plate & np.all(position == run.position[-1], axis=1)
         return View(
             position + beyond * velocity, angle + beyond * spin, ~left, pose + beyond * twist

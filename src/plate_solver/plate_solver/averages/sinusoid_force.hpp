@@ -22,7 +22,7 @@ constexpr int DEGREE = 10;  // degree of the Taylor polynomials
 // - USUAL: the usual number of equal steps, without correction
 enum Grid { PANELS = -2, ADAPTIVE = -1, FEW = 0, USUAL = 1 };
 
-// Sample points of the slip of N harmonics. `Rules` in sinusoid_force.py describes the fields.
+// Values of N harmonics at the sample points, and their Taylor coefficients. `Rules` in sinusoid_force.py describes the fields.
 struct Rules {
     View<const double, 2> waves;  // (2 N, K)
     int few;

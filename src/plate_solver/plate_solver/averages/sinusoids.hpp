@@ -39,8 +39,8 @@ constexpr double HOP = 0.15;
 // A perturbation is successful if its cost is below this factor times the best cost of the round.
 constexpr double BETTER = 0.99;
 
-// If the error by the quadrature ADAPTIVE exceeds this fraction of the tolerance, the search
-// continues with this quadrature.
+// At the end of a search, the quadrature ADAPTIVE evaluates the result again. If the force error
+// then exceeds this fraction of the tolerance, the search continues with ADAPTIVE.
 constexpr double SURE = 0.7;
 
 // A continuation increases the requested forces from zero to their final values in this number of

@@ -96,7 +96,8 @@ MIN_INNER = 40
 searched."""
 
 MIN_SEPARATED = 0.3
-"""Minimum fraction of a piece that consists of compact pieces after a split along edges."""
+"""Minimum total area of the compact or known pieces into which edges split a piece, relative to the
+area of the original piece. Below this fraction, the split is rejected."""
 
 MIN_FRACTION = 0.5
 """Minimum area of a connected rest that counts as a group after a piece was split, relative to the

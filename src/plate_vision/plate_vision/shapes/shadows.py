@@ -290,7 +290,7 @@ def find_lamp(
     if np.count_nonzero(large & (shade > MIN_CAST[0] * sides.total)) < min_count:
         return None
     grey = np.bincount(patch[own], minlength=count) < MIN_PART * sides.total
-    # If a part has the same grey colour as its shadow, the darker side of the patch is the part.
+    # If a part and its shadow differ only in brightness, the darker side of the patch is the part.
     bound, *_ = _two_sides(sides, away, labels)
     darker = (grey & (bound > 0))[patch] & (away[rows, columns] > bound[patch])
     own |= darker
