@@ -135,7 +135,7 @@ def test_parts_are_sorted_and_the_method_changes_meanwhile(tmp_path):
     check = check_limits(record, rig)
     assert check.tables > 20
     assert check.faults == ()
-    assert 0.5 < check.shares["accel"] <= 1
+    assert 0.5 < check.fractions["accel"] <= 1
     check_all_nodes_in_one_process(tmp_path / "one process", before)
 
 
@@ -373,7 +373,7 @@ def test_a_page_that_ends_again_and_again_is_given_up_but_not_one_that_seldom_do
 def test_images_can_be_thinned_without_losing_beginning_or_end():
     from graph.observer import Thinned
 
-    kept = Thinned(most=8)
+    kept = Thinned(max_count=8)
     for k in range(100):
         kept.add(k)
         assert len(kept.items) < 8

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from cuts import cut
-from record.limits import limit_shares, thermal_load
+from record.limits import limit_fractions, thermal_load
 from shaking import shaking
 
 from plate_core import PlateCycle, load_rig
@@ -26,7 +26,7 @@ def test_a_wave_along_x_by_hand():
     """2 kg, two motors along x share: 200 N, 10 mm, 1 m/s and 100 m/s2 are allowed."""
     accel = 0.004 * W**2
     hand = [0.4, 0.004 * W, accel / 100, accel / 200]
-    np.testing.assert_allclose(limit_shares(RIG, wave(x=0.004)), hand, rtol=1e-4)
+    np.testing.assert_allclose(limit_fractions(RIG, wave(x=0.004)), hand, rtol=1e-4)
     load = (accel / 100) ** 2 / 2
     np.testing.assert_allclose(thermal_load(RIG, wave(x=0.004)), [load, load, 0, 0], atol=1e-4)
 
@@ -39,7 +39,7 @@ def test_a_turn_by_hand():
     out, round_ = (angle * W * np.cos(W * t)) ** 2, angle * W**2 * np.sin(W * t)
     corners = np.max(np.hypot(out, round_)) * np.hypot(0.3, 0.15)
     force = 0.2 / (2 * 0.1**2 + 2 * 0.2**2) * 0.075 * angle * W**2
-    _, _, accel, most = limit_shares(RIG, wave(theta=angle))
+    _, _, accel, most = limit_fractions(RIG, wave(theta=angle))
     assert accel == pytest.approx(corners / 100, rel=1e-4)
     assert most == pytest.approx(force / 200, rel=1e-4)
 
@@ -63,7 +63,7 @@ def test_judge_and_guard_agree(seed):
         reported.accel / limits.accel,
         reported.force / limits.force,
     ]  # fmt: skip
-    np.testing.assert_allclose(limit_shares(rig, cycle), guard, rtol=1e-3)
+    np.testing.assert_allclose(limit_fractions(rig, cycle), guard, rtol=1e-3)
     np.testing.assert_allclose(thermal_load(rig, cycle), reported.thermal_load, rtol=1e-3)
 
 
@@ -81,7 +81,7 @@ def jump(seconds):
 
 @pytest.mark.parametrize("seconds", [1e-9, 1e-7, 1e-5, 1e-4])
 def test_a_jump_between_two_samples_is_seen(seconds):
-    _, _, accel, _ = limit_shares(RIG, jump(seconds))
+    _, _, accel, _ = limit_fractions(RIG, jump(seconds))
     assert accel > 0.5 / seconds / RIG.limits.accel
 
 

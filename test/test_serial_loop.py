@@ -103,7 +103,7 @@ def test_a_host_that_was_held_up_finds_the_plate_at_rest_and_waits_for_a_person(
                 transport.poll()
 
     run(0.2)
-    operator.look(host[0])
+    operator.check(host[0])
     run(1.5)
     transport.send(shaking(48, 5e-4), 50)
     run(0.5)
@@ -114,7 +114,7 @@ def test_a_host_that_was_held_up_finds_the_plate_at_rest_and_waits_for_a_person(
     assert emulator.state is State.OFF
     assert transport.troubles() == ["device has stopped: host silent"]
     for _ in range(3):  # a look, and one when it has lasted
-        operator.look(host[0])
+        operator.check(host[0])
         run(1.0)
     assert operator.enables == 2
     assert emulator.state is State.READY

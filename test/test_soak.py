@@ -54,7 +54,7 @@ def test_stages_add_up_to_the_whole():
 
 def test_two_tasks_in_the_same_graph(tmp_path):
     options = LightOptions(scenario="sort_4", autostart=False)
-    many = work_again(options, tmp_path, lambda s: len(s.tasks) == 2, longest_s=1.5)
+    many = work_again(options, tmp_path, lambda s: len(s.tasks) == 2, max_s=1.5)
     *_, series = many
     first, second = series.tasks
     for one in series.tasks:

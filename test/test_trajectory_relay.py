@@ -63,7 +63,7 @@ class Controller:
                     self.state[1:] = 0
             self.rows.append(self.state)
             if self.speaks and tick % 5 == 0:
-                self.relay.heard(self.state[0])
+                self.relay.receive(self.state[0])
             if tick % 3 == 0:
                 self.relay.poll()
 

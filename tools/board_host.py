@@ -225,11 +225,11 @@ class Host:
 
 
 def wave(
-    pieces: int, share: float = 0.98, period_s: float = 1.2, jitter: float = 0.0,
+    pieces: int, fraction: float = 0.98, period_s: float = 1.2, jitter: float = 0.0,
     rng: np.random.Generator | None = None,
 ) -> tuple[Knot, ...]:  # fmt: skip
-    """Return a table whose motion reaches the fraction `share` of all three limits: stroke, speed
-    and acceleration.
+    """Return a table whose motion reaches the fraction `fraction` of all three limits: stroke,
+    speed and acceleration.
 
     The motion is q = s(t) sin(w t + phase) with the envelope s. With w = 100 rad/s a sine reaches
     all three limits of config/rig.yaml. The convex hulls of the spline exceed the limits, although
@@ -256,7 +256,7 @@ def wave(
     q, v, a = np.sin(angle), rate * np.cos(angle), -(rate**2) * np.sin(angle)
     rows = (s * q, ds * q + s * v, dds * q + 2 * ds * v + s * a)
     ticks = np.round(t * 1e8).astype(int)
-    states = [(share * STROKE_M * row).astype(np.float32) for row in rows]
+    states = [(fraction * STROKE_M * row).astype(np.float32) for row in rows]
     return tuple(
         Knot(int(k), *(tuple(map(float, row)) for row in at))
         for k, *at in zip(ticks, *states, strict=True)
@@ -331,8 +331,8 @@ class Attack:
     def near(self) -> Iterator[bytes]:
         """Yield the frames of a table whose motion just keeps or slightly exceeds the limits."""
         pieces = int(self.rng.choice([30, 48, 60, 96, 150, 300, 511]))
-        share = float(self.rng.choice([0.99, 1.0, 1.0015, 1.0019, 1.003]))
-        knots = wave(pieces, share, jitter=0.3, rng=self.rng)
+        fraction = float(self.rng.choice([0.99, 1.0, 1.0015, 1.0019, 1.003]))
+        knots = wave(pieces, fraction, jitter=0.3, rng=self.rng)
         yield from self.host.framed(self.another(), knots)
         yield self.host.numbered(Commit(self.table, int(self.rng.integers(1, 8))))
 

@@ -156,8 +156,8 @@ class EmulatedBoard:
         self._debugger.go_to_read(self._idle + 4 * word)
 
     def tick(self, data: bytes = b"") -> bytes:
-        """Simulate one tick in which the board receives `data`, at most `room` bytes. Return the
-        bytes that the board has sent."""
+        """Simulate one tick in which the board receives `data`, at most `free_bytes` bytes. Return
+        the bytes that the board has sent."""
         if data:
             self._come(data)
         self._rest(1 - self._word)
@@ -167,19 +167,19 @@ class EmulatedBoard:
                 sent += some
         return sent
 
-    def room(self) -> int:
+    def free_bytes(self) -> int:
         """Return the free space in the board's receive ring [bytes]."""
-        came, read = self._counts()
-        return RING_BYTES - (came - read) % 2**32
+        received, read = self._counts()
+        return RING_BYTES - (received - read) % 2**32
 
     def _come(self, data: bytes) -> None:
-        ring, (came, _) = self.names["received"], self._counts()
-        place = came % RING_BYTES
+        ring, (received, _) = self.names["received"], self._counts()
+        place = received % RING_BYTES
         first = data[: RING_BYTES - place]
         self._debugger.write(ring + 8 + place, first)
         if first != data:
             self._debugger.write(ring + 8, data[len(first) :])
-        self._debugger.write(ring, struct.pack("<I", (came + len(data)) % 2**32))
+        self._debugger.write(ring, struct.pack("<I", (received + len(data)) % 2**32))
 
     def _counts(self) -> tuple[int, int]:
         """Return the number of bytes that the board has received, and the number of bytes that it

@@ -42,8 +42,8 @@ def settings() -> dict[str, str]:
         name, _, value = line.partition("=")
         key = name.rpartition(".")[2]
         if key in FROM_PIP:
-            words = str(ast.literal_eval(value)).split()
-            there = [word for word in words if not _is_missing(word.removeprefix("file://"))]
+            places = str(ast.literal_eval(value)).split()
+            there = [word for word in places if not _is_missing(word.removeprefix("file://"))]
             found.setdefault(FROM_PIP[key], ("," if key == "find-links" else " ").join(there))
     return found
 
@@ -61,8 +61,8 @@ def main(arguments: list[str]) -> int:
             uv.append("--compile-bytecode")
         own = {name: value for name, value in os.environ.items() if name not in ELSEWHERE}
         for where in (["--offline"], []):
-            words, env = [*uv, *where, *arguments], {**settings(), **own}
-            done = subprocess.run(words, env=env, capture_output=True, text=True, check=False)
+            command, env = [*uv, *where, *arguments], {**settings(), **own}
+            done = subprocess.run(command, env=env, capture_output=True, text=True, check=False)
             if done.returncode == 0:
                 return 0
         print(f"{done.stderr}uv failed, so pip installs the packages", file=sys.stderr)

@@ -94,14 +94,14 @@ def row(file: str, result: dict[str, Any], task: str) -> tuple[Order, dict[str, 
     world = result["world"]
     # compute the summary again, because the summary in the file can be wrong
     found = summary(result["tasks"][task]["rows"])
-    low, high = (100 * share for share in found["success_interval"])
-    share, took, count = found["success"], found.get("time_s", np.inf), len(found["rows"])
+    low, high = (100 * fraction for fraction in found["success_interval"])
+    fraction, took, count = found["success"], found.get("time_s", np.inf), len(found["rows"])
     ended = [own for own in found["rows"] if "failure" not in own] or found["rows"]
     interval = f" ({low:.0f}-{high:.0f} %)"
     link = f"[{result['agent']}](../../benchmarks/{file})"
     cells = {
         "agent": link if world == "nominal" else f"{link}, {world}",
-        "done": f"{share * count:.0f}/{count}" + interval * (share < 1),
+        "done": f"{fraction * count:.0f}/{count}" + interval * (fraction < 1),
         "plate time [s]": f"{took:.1f}" if np.isfinite(took) else "-",
         **{
             heading: f"{np.median([own[key] for own in ended]):.3g}"
@@ -110,7 +110,7 @@ def row(file: str, result: dict[str, Any], task: str) -> tuple[Order, dict[str, 
         LOST: str(found["dropped"]),
         "decision [ms]": f"{found['decision_ms']:.3g}",
     }
-    return (world != "nominal", world, -share, took), cells
+    return (world != "nominal", world, -fraction, took), cells
 
 
 if __name__ == "__main__":

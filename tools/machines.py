@@ -79,11 +79,11 @@ def machine() -> Iterator[int]:
     PlateError
         If the process has no permission to create a network namespace.
     """
-    words = ["unshare", "--net", "--mount", "sh", "-c", f"{OWN_SHM} && echo made && exec cat"]
+    command = ["unshare", "--net", "--mount", "sh", "-c", f"{OWN_SHM} && echo made && exec cat"]
     pipe = subprocess.PIPE
     # The process ends when its standard input is closed. The input is also closed if this program
     # is killed.
-    with subprocess.Popen(words, stdin=pipe, stdout=pipe, start_new_session=True) as process:
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, start_new_session=True) as process:
         assert process.stdout
         if not process.stdout.readline():
             raise PlateError("no network namespace could be created; this requires root")
@@ -126,14 +126,14 @@ def await_card(pid: int) -> None:
         time.sleep(POLL_S)
 
 
-def do(*words: str) -> str:
+def do(*command: str) -> str:
     """Run a command, and return its output. Raise PlateError if the command fails."""
     try:
-        return subprocess.run(words, check=True, capture_output=True, text=True).stdout
+        return subprocess.run(command, check=True, capture_output=True, text=True).stdout
     except (OSError, subprocess.CalledProcessError) as error:
         reason = getattr(error, "stderr", "") or str(error)
         needs = "; this requires root" if os.geteuid() else ""
-        raise PlateError(f"{' '.join(words)}: {reason.strip()}{needs}") from None
+        raise PlateError(f"{' '.join(command)}: {reason.strip()}{needs}") from None
 
 
 def enter(pid: int) -> list[str]:
@@ -155,13 +155,13 @@ def reach_environment(reach: str, other: str) -> dict[str, str]:
 def intrude(machine: int) -> list[str]:
     """Return the names of the nodes that an intruder on a machine finds. The result also contains
     "answered" if a node replied to a stop. The intruder tries the reaches `named` and `subnet`."""
-    words = [*enter(machine), sys.executable, "-c", INTRUDER, str(ALONE_S)]
+    command = [*enter(machine), sys.executable, "-c", INTRUDER, str(ALONE_S)]
     tries = []
     for reach in ("named", "subnet"):
         own = os.environ | reach_environment(reach, HANDS)
         # without this profile, DDS uses its default, which searches on all networks
         del own["FASTRTPS_DEFAULT_PROFILES_FILE"]
-        tries.append(subprocess.Popen(words, env=own, stdout=subprocess.PIPE, text=True))
+        tries.append(subprocess.Popen(command, env=own, stdout=subprocess.PIPE, text=True))
     found = [each.communicate()[0].split() for each in tries]
     if any(each.returncode for each in tries):
         raise PlateError("an intruder has ended with an error")
@@ -209,8 +209,8 @@ def run(reach: str, scenario: str, eyes: int, logs: Path) -> dict[str, Any]:
 def crossed() -> int:
     """Return the number of bytes transferred over the cable in both directions."""
     lines = Path("/proc/self/net/dev").read_text(encoding="ascii").splitlines()
-    words = next(line for line in lines if line.strip().startswith(CARD)).split(":")[1].split()
-    return int(words[0]) + int(words[8])
+    fields = next(line for line in lines if line.strip().startswith(CARD)).split(":")[1].split()
+    return int(fields[0]) + int(fields[8])
 
 
 def inside(args: argparse.Namespace) -> int:
@@ -237,9 +237,9 @@ def main() -> int:
         return inside(args)
     try:
         with signals_raise(), machines() as (eyes, hands):
-            words = [*enter(hands), sys.executable, *sys.argv, "--inside", str(eyes)]
+            command = [*enter(hands), sys.executable, *sys.argv, "--inside", str(eyes)]
             reach = ros_environment(DOMAIN) | reach_environment(args.reach, EYES)
-            return subprocess.run(words, env=os.environ | reach, check=False).returncode
+            return subprocess.run(command, env=os.environ | reach, check=False).returncode
     except PlateError as error:
         parser.error(str(error))
 

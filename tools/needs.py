@@ -79,7 +79,7 @@ def install_wheels(requirements: str) -> bool:
     succeeded."""
     if all(map(is_installed, pins(requirements))):
         return True
-    say(f"installing {requirements} ({SIZES[requirements]})")
+    report(f"installing {requirements} ({SIZES[requirements]})")
     return run([sys.executable, "tools/install.py", "-r", requirements])
 
 
@@ -93,7 +93,7 @@ def install() -> int:
             for need in filter(PROGRAMS.__contains__, lacking):
                 run([*apt, "--no-install-recommends", "install", *packages([need]).split()])
         else:
-            say(f"not root; type: sudo apt-get install --no-install-recommends {debian}")
+            report(f"not root; type: sudo apt-get install --no-install-recommends {debian}")
     for requirements in (WHEELS, BROWSER_WHEELS):
         # if one package version is not available, install the other packages one by one
         if not install_wheels(requirements):
@@ -102,27 +102,29 @@ def install() -> int:
     if LAUNCH in lacking:
         run(["tools/cli.sh"])
     left = missing()
-    say(f"not available on this machine: {', '.join(left)}" if left else "all tools are installed")
+    report(
+        f"not available on this machine: {', '.join(left)}" if left else "all tools are installed"
+    )
     return bool(left)
 
 
-def run(words: list[str]) -> bool:
+def run(command_line: list[str]) -> bool:
     """Run a command, and print its duration, and the end of its output if it failed. Return whether
     it succeeded."""
     began = time.monotonic()
     env = {**os.environ, "DEBIAN_FRONTEND": "noninteractive"}
     done = subprocess.run(
-        words, cwd=ROOT, env=env, text=True, check=False,
+        command_line, cwd=ROOT, env=env, text=True, check=False,
         stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
     )  # fmt: skip
-    command = " ".join([Path(words[0]).name, *words[1:]])
-    say(f"{command}: {time.monotonic() - began:.0f} s")
+    command = " ".join([Path(command_line[0]).name, *command_line[1:]])
+    report(f"{command}: {time.monotonic() - began:.0f} s")
     if done.returncode:
-        say("\n".join(done.stdout.splitlines()[-3:]))
+        report("\n".join(done.stdout.splitlines()[-3:]))
     return done.returncode == 0
 
 
-def say(text: str) -> None:
+def report(text: str) -> None:
     print(f"test-tools: {text}", flush=True)
 
 
@@ -134,7 +136,7 @@ def main() -> int:
         return install()
     install_wheels(WHEELS)
     if left := missing():
-        say(f"tests that need {', '.join(left)} are skipped: `make test-tools` installs these")
+        report(f"tests that need {', '.join(left)} are skipped: `make test-tools` installs these")
     return 0
 
 

@@ -89,7 +89,10 @@ def shoot(film: Film) -> None:
         film.until(at)
         x, y = film.place(name)
         film.drag(
-            [(x + share * (end[0] - x), y + share * (end[1] - y)) for share in (0, 0.3, 0.6, 1)]
+            [
+                (x + fraction * (end[0] - x), y + fraction * (end[1] - y))
+                for fraction in (0, 0.3, 0.6, 1)
+            ]
         )
     name, points, at = PATH
     film.until(at)

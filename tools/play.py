@@ -19,7 +19,7 @@ from tempfile import TemporaryDirectory
 PAGE_S = 30.0
 """Maximum wait until the page has started [s]."""
 
-LOOK_S = 0.5
+POLL_S = 0.5
 """Interval at which the program checks that all nodes run [s]."""
 
 
@@ -168,7 +168,7 @@ def keep_page(processes, observer, page: str) -> None:
 
     ends, given_up = Ends(), False
     while True:
-        observer.until(lambda: False, LOOK_S)
+        observer.until(lambda: False, POLL_S)
         end = "" if given_up else processes.end_of("page")
         if end:
             given_up = ends.too_many(time.monotonic())
@@ -200,16 +200,16 @@ def replay(options, bag: str, folder: Path, domain: int | None) -> None:
 
     from plate_core import config_path
 
-    words = [str(executable("plate_view", "page")), *ROS_ARGS, str(config_path("nodes.yaml"))]
-    words += ["-p", f"bag:={json.dumps(str(Path(bag).absolute()))}"]
-    words += ["-p", f"rig_file:={json.dumps(options.rig_file)}"]
+    command = [str(executable("plate_view", "page")), *ROS_ARGS, str(config_path("nodes.yaml"))]
+    command += ["-p", f"bag:={json.dumps(str(Path(bag).absolute()))}"]
+    command += ["-p", f"rig_file:={json.dumps(options.rig_file)}"]
     with own_domain(domain) as number, Processes((), options, folder, number) as nodes:
-        nodes.add({"page": words})
+        nodes.add({"page": command})
         with Observer(number, nodes.check, pictures=False) as observer:
             observer.until(lambda: bool(observer.record.last("page", "url")), PAGE_S)
             print(f"Open {observer.record.last('page', 'url')} in a browser. Ctrl-C ends it.")
             while True:
-                observer.until(lambda: False, LOOK_S)
+                observer.until(lambda: False, POLL_S)
 
 
 if __name__ == "__main__":

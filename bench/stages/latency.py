@@ -46,7 +46,7 @@ def measured(quick: bool, one_process: bool) -> tuple[list[dict[str, Any]], dict
             options,
             Path(logs),
             lambda series: len(series.tasks) >= count,
-            longest_s=QUICK_S if quick else TASK_S,
+            max_s=QUICK_S if quick else TASK_S,
         )
         *_, series = run
     rows = [

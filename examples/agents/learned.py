@@ -38,8 +38,8 @@ def features(place: Any, drift: Any, last: Any, half: Any, of: Any = np) -> Any:
         numpy, or torch if the arguments are tensors.
     """
     count = len(place)
-    shares, drifts = place / half, of.clip(drift / FAST_MPS, -3, 3)
-    return of.concatenate([shares.reshape(count, -1), drifts.reshape(count, -1), last], 1)
+    relative, drifts = place / half, of.clip(drift / FAST_MPS, -3, 3)
+    return of.concatenate([relative.reshape(count, -1), drifts.reshape(count, -1), last], 1)
 
 
 class Network:

@@ -62,17 +62,17 @@ EDGE_M, EDGE_COST = 0.03, 2.0
 CLEAR_M = 0.02
 """If the centres of two parts are nearer than this distance, the parts have a cost [m]."""
 
-JUDGED, SEED = 64, 200_000
+PLATES_TESTED, SEED = 64, 200_000
 """Number of plates of plate_gym for the evaluation, and their first seed."""
 
-JUDGED_CYCLES, ROWS = 400, 20
+CYCLES_TESTED, ROWS = 400, 20
 """Maximum number of cycles per evaluation, and number of evaluations."""
 
 CURVE = Path(__file__).with_name("curve.csv")
 
 
 @njit(fastmath=True, cache=True)
-def slide(state: Any, pose: Any, twist: Any, most: float, dt: float, kept: Any) -> None:
+def slide(state: Any, pose: Any, twist: Any, limit: float, dt: float, kept: Any) -> None:
     """Simulate the parts for a cycle, with point friction and explicit time steps.
 
     With the slip s = plate velocity below the part - v, each step is
@@ -84,7 +84,7 @@ def slide(state: Any, pose: Any, twist: Any, most: float, dt: float, kept: Any) 
         Positions x, y [m] and velocities [m/s] of M parts on N plates, changed in place.
     pose, twist : (n, 3, N)
         Motion of the plates at the middle of each step.
-    most : float
+    limit : float
         Maximum change of a velocity per step, mu g dt [m/s].
     dt : float
         Time step [s].
@@ -95,21 +95,21 @@ def slide(state: Any, pose: Any, twist: Any, most: float, dt: float, kept: Any) 
     for i in range(len(pose)):
         for m in range(x.shape[0]):
             for k in range(x.shape[1]):
-                turn = twist[i, 2, k]
-                slip_x = twist[i, 0, k] - turn * (y[m, k] - pose[i, 1, k]) - u[m, k]
-                slip_y = twist[i, 1, k] + turn * (x[m, k] - pose[i, 0, k]) - v[m, k]
+                spin = twist[i, 2, k]
+                slip_x = twist[i, 0, k] - spin * (y[m, k] - pose[i, 1, k]) - u[m, k]
+                slip_y = twist[i, 1, k] + spin * (x[m, k] - pose[i, 0, k]) - v[m, k]
                 kept[i, 0, m, k], kept[i, 1, m, k] = x[m, k], y[m, k]
                 kept[i, 2, m, k], kept[i, 3, m, k] = slip_x, slip_y
-                share = most / max(np.sqrt(slip_x * slip_x + slip_y * slip_y), most)
-                u[m, k] += share * slip_x
-                v[m, k] += share * slip_y
+                fraction = limit / max(np.sqrt(slip_x * slip_x + slip_y * slip_y), limit)
+                u[m, k] += fraction * slip_x
+                v[m, k] += fraction * slip_y
                 x[m, k] += dt * u[m, k]
                 y[m, k] += dt * v[m, k]
 
 
 @njit(fastmath=True, cache=True)
 def slide_back(
-    by_state: Any, by_pose: Any, by_twist: Any, pose: Any, twist: Any, most: float, dt: float,
+    by_state: Any, by_pose: Any, by_twist: Any, pose: Any, twist: Any, limit: float, dt: float,
     kept: Any,
 ) -> None:  # fmt: skip
     """Propagate derivatives back through `slide`.
@@ -122,35 +122,38 @@ def slide_back(
     for i in range(len(pose) - 1, -1, -1):
         for m in range(x.shape[0]):
             for k in range(x.shape[1]):
-                slip_x, slip_y, turn = kept[i, 2, m, k], kept[i, 3, m, k], twist[i, 2, k]
+                slip_x, slip_y, spin = kept[i, 2, m, k], kept[i, 3, m, k], twist[i, 2, k]
                 own_x, own_y = u[m, k] + dt * x[m, k], v[m, k] + dt * y[m, k]
                 square = slip_x * slip_x + slip_y * slip_y
-                slides = square > most * most
-                share = most / np.sqrt(square) if slides else 1.0
+                slides = square > limit * limit
+                fraction = limit / np.sqrt(square) if slides else 1.0
                 along = (slip_x * own_x + slip_y * own_y) / square if slides else 0.0
-                by_x, by_y = share * (own_x - along * slip_x), share * (own_y - along * slip_y)
+                by_x, by_y = (
+                    fraction * (own_x - along * slip_x),
+                    fraction * (own_y - along * slip_y),
+                )
                 u[m, k], v[m, k] = own_x - by_x, own_y - by_y
-                x[m, k] += turn * by_y
-                y[m, k] -= turn * by_x
+                x[m, k] += spin * by_y
+                y[m, k] -= spin * by_x
                 by_twist[i, 0, k] += by_x
                 by_twist[i, 1, k] += by_y
                 off_x, off_y = kept[i, 0, m, k] - pose[i, 0, k], kept[i, 1, m, k] - pose[i, 1, k]
                 by_twist[i, 2, k] += off_x * by_y - off_y * by_x
-                by_pose[i, 0, k] -= turn * by_y
-                by_pose[i, 1, k] += turn * by_x
+                by_pose[i, 0, k] -= spin * by_y
+                by_pose[i, 1, k] += spin * by_x
 
 
 class Slide(torch.autograd.Function):
     """`slide` as a differentiable function of torch."""
 
     @staticmethod
-    def forward(ctx: Any, state: Any, pose: Any, twist: Any, most: float, dt: float) -> Any:
+    def forward(ctx: Any, state: Any, pose: Any, twist: Any, limit: float, dt: float) -> Any:
         """Return the state after a cycle."""
         after, *motion = (values.detach().numpy() for values in (state, pose, twist))
-        after, most, dt = after.copy(), np.float32(most), np.float32(dt)
+        after, limit, dt = after.copy(), np.float32(limit), np.float32(dt)
         kept = np.empty((len(pose), *after.shape), np.float32)
-        slide(after, *motion, most, dt, kept)
-        ctx.made = (*motion, most, dt, kept)
+        slide(after, *motion, limit, dt, kept)
+        ctx.made = (*motion, limit, dt, kept)
         return torch.from_numpy(after)
 
     @staticmethod
@@ -172,15 +175,15 @@ class Model:
         basis = sinusoid_basis(len(own.span) // 2, own.period, True, STEPS)
         self._pose, self._twist = tensor(basis.pose), tensor(basis.twist)
         self.half, self.period, self._dt = tensor(rig.plate.half), own.period, basis.dt
-        self._most = rig.friction.mu * rig.friction.gravity * basis.dt
+        self._max_change = rig.friction.mu * rig.friction.gravity * basis.dt
         limits = Limits.of(rig, 1.0)
         levers = tensor(limits.levers)
         signs = tensor(list(itertools.product((1, -1), repeat=2)))
         (right, up), flat = (signs * self.half).T, torch.zeros(4)
         self._corners = torch.stack([flat + 1, flat, -up]), torch.stack([flat, flat + 1, right])
         pose, twist, self._accel = map(tensor, basis.checks)
-        self._most_accel = limits.accel
-        self._looks = [
+        self._max_accel = limits.accel
+        self._projections = [
             (pose, levers.T, limits.stroke_m),
             (twist, levers.T, limits.speed),
             (self._accel, levers.T, limits.accel),
@@ -194,11 +197,13 @@ class Model:
     def limited(self, actions: Any) -> Any:
         """Return the coefficients (N, 6, 3) of actions (N, 18), scaled down to the rig's limits."""
         own = actions.reshape(len(actions), -1, 3) * self._scale
-        used = [(basis @ own @ way).abs() / most for basis, way, most in self._looks]
-        along_x, along_y = (self._accel @ own @ way for way in self._corners)
-        used.append(torch.hypot(along_x, along_y) / self._most_accel)
-        most = torch.cat(used, dim=1).amax((1, 2))
-        return own / most.clip(min=1)[:, None, None]
+        used = [
+            (basis @ own @ direction).abs() / limit for basis, direction, limit in self._projections
+        ]
+        along_x, along_y = (self._accel @ own @ direction for direction in self._corners)
+        used.append(torch.hypot(along_x, along_y) / self._max_accel)
+        limit = torch.cat(used, dim=1).amax((1, 2))
+        return own / limit.clip(min=1)[:, None, None]
 
     def after(self, place: Any, speed: Any, own: Any) -> tuple[Any, Any]:
         """Return positions and velocities (N, M, 2) of the parts after a cycle with coefficients
@@ -206,22 +211,22 @@ class Model:
         flat = own.permute(1, 2, 0).reshape(own.shape[1], -1)
         pose, twist = ((basis @ flat).reshape(STEPS, 3, -1) for basis in (self._pose, self._twist))
         state = torch.cat([place.permute(2, 1, 0), speed.permute(2, 1, 0)]).contiguous()
-        state = Slide.apply(state, pose, twist, self._most, self._dt)
+        state = Slide.apply(state, pose, twist, self._max_change, self._dt)
         return state[:2].permute(2, 1, 0), state[2:].permute(2, 1, 0)
 
-    def ways(self, place: Any) -> Any:
+    def distances(self, place: Any) -> Any:
         """Return the distances (N, M) of the parts from their targets [m]."""
-        ways = (self._goal - place * self._side).clip(min=0)
-        return torch.sqrt((ways**2).sum(-1) + 1e-12)
+        gaps = (self._goal - place * self._side).clip(min=0)
+        return torch.sqrt((gaps**2).sum(-1) + 1e-12)
 
     def cost(self, place: Any) -> Any:
         """Return the cost (N,) of positions (N, M, 2): distances to go, plus costs of parts near
         edges and near each other."""
-        way = self.ways(place) / 0.1
+        distance = self.distances(place) / 0.1
         beyond = ((place.abs() - self.half) / EDGE_M + 1).clip(min=0)
         gap = torch.sqrt(((place[:, :, None] - place[:, None]) ** 2).sum(-1) + 1e-12)
         near = ((CLEAR_M - gap) / 0.2).clip(min=0).triu(1).sum((1, 2))
-        far = (torch.sqrt(way**2 + 0.01) - 0.1 + way**2 / 2).mean(1)
+        far = (torch.sqrt(distance**2 + 0.01) - 0.1 + distance**2 / 2).mean(1)
         return far + EDGE_COST * (beyond**2).sum((1, 2)) + near
 
 
@@ -260,7 +265,7 @@ class Crowd:
             if torch.is_tensor(values):
                 setattr(self, name, values.detach())
         off = (self.place.abs() > self._model.half).flatten(1).any(1)
-        done = (self._model.ways(self.place) < 1e-5).all(1) & (torch.rand(PLATES) < 0.3)
+        done = (self._model.distances(self.place) < 1e-5).all(1) & (torch.rand(PLATES) < 0.3)
         self._age += CYCLES
         restarted = off | done | (self._age > MAX_CYCLES)
         self.place[restarted] = self._drawn(int(restarted.sum()))
@@ -272,14 +277,14 @@ class Crowd:
         return (2 * torch.rand(count, self._model.parts, 2) - 1) * inner
 
 
-def judged(env: Any, network: Network) -> tuple[float, float, int]:
+def evaluated(env: Any, network: Network) -> tuple[float, float, int]:
     """Return the fraction of plates that were sorted, their median time [s], and the number of lost
     parts."""
     half = env.unwrapped.plates.rig.plate.half
     seen, _ = env.reset(seed=SEED)
-    last, over = np.zeros((JUDGED, 18)), np.zeros(JUDGED, bool)
+    last, over = np.zeros((PLATES_TESTED, 18)), np.zeros(PLATES_TESTED, bool)
     lost, times = 0, []
-    for _ in range(JUDGED_CYCLES):
+    for _ in range(CYCLES_TESTED):
         last = network(features(seen[:, :, :2], seen[:, :, 2:4], last, half))
         seen, _, ended, late, info = env.step(last)
         fresh = (ended | late) & ~over
@@ -288,7 +293,7 @@ def judged(env: Any, network: Network) -> tuple[float, float, int]:
         over |= fresh
         if over.all():
             break
-    return len(times) / JUDGED, float(np.median(times)) if times else np.nan, lost
+    return len(times) / PLATES_TESTED, float(np.median(times)) if times else np.nan, lost
 
 
 def layers_of(network: Any) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -309,7 +314,7 @@ def main() -> None:
     args = parser.parse_args()
     torch.manual_seed(1)
     torch.set_num_threads(1)
-    env = gymnasium.make_vec(f"plate/{args.task}", num_envs=JUDGED)
+    env = gymnasium.make_vec(f"plate/{args.task}", num_envs=PLATES_TESTED)
     model = Model(env)
     crowd, sizes = Crowd(model), (4 * model.parts + 18, WIDTH, WIDTH, 18)
     layers = [torch.nn.Linear(*pair) for pair in itertools.pairwise(sizes)]
@@ -327,7 +332,7 @@ def main() -> None:
         if update * ROWS // args.updates == len(rows):
             continue
         found = layers_of(network)
-        done, took, lost = judged(env, Network(found))
+        done, took, lost = evaluated(env, Network(found))
         minutes = round((time.process_time() - began) / 60, 2)
         rows.append([update, minutes, done, round(took, 2), lost])
         print("{:7d}  {:7.1f}  {:6.2f}  {:14.1f}  {:10d}".format(*rows[-1]), flush=True)

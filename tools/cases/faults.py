@@ -179,7 +179,7 @@ class Faults:
         for _ in range(TRIES):
             if not observer.record.ready:
                 observer.enable()
-            observer.begin_anew(self.scenario)
+            observer.restart(self.scenario)
             self.plate.moved_until = 0.0
             observer.until(lambda: self.plate.moving or observer.record.ended, MOVE_S)
             observer.until(lambda: observer.record.ended, WORK_S)
@@ -282,7 +282,7 @@ class Faults:
         # the task has ended because a part left the plate, so begin again with new parts
         if not row.goes_on and observer.record.ended:
             row.to_go_on.append("parts")
-            observer.begin_anew(self.scenario)
+            observer.restart(self.scenario)
             row.goes_on = self.moves()
         observer.trigger("stop")
 

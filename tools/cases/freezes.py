@@ -41,7 +41,7 @@ STOPS = 0.1
 """Fraction of the freezes during which a task is stopped. During the same fraction of the freezes,
 an emergency stop is called."""
 
-TOLD_S = 0.1
+NOTICE_S = 0.1
 """Maximum delay until the driver has received the end of a task [s]. This maximum does not apply to
 a frozen driver."""
 
@@ -49,7 +49,7 @@ DEAD_S = (0.5, 3.0)
 """Range of the time until a killed node is started again [s]."""
 
 
-class Judge(Listener):
+class FaultRecorder(Listener):
     """Receives motor tables, ends of tasks and parts with their publication times, and collects the
     wrong tables."""
 
@@ -84,7 +84,11 @@ class Judge(Listener):
         limit = age_limit(1e-9 * nanoseconds(msg.points[-1].time_from_start))
         blind = 1e-9 * (sent - self._seen_ns)
         self.oldest_s = max(self.oldest_s, age)
-        ended = [said for said, last in self.ends if stamp <= last and said + 1e9 * TOLD_S < sent]
+        ended = [
+            ended_ns
+            for ended_ns, last in self.ends
+            if stamp <= last and ended_ns + 1e9 * NOTICE_S < sent
+        ]
         for wrong, why in (
             (age > limit, f"{age:.3f} s old"),
             (blind > 2 * limit, f"{blind:.3f} s after the newest image"),
@@ -96,13 +100,13 @@ class Judge(Listener):
                 print(f"WRONG: a moving table {self.wrong[-1]}", flush=True)
 
 
-def freeze(processes: Processes, observer: Observer, longest: dict[str, float]) -> None:
-    """Freeze nodes at the same time. `longest` contains the duration of the freeze for each node
+def freeze(processes: Processes, observer: Observer, durations: dict[str, float]) -> None:
+    """Freeze nodes at the same time. `durations` contains the duration of the freeze for each node
     [s]."""
     begun = time.monotonic()
-    for name in longest:
+    for name in durations:
         processes.signal(name, signal.SIGSTOP)
-    for name, seconds in sorted(longest.items(), key=lambda item: item[1]):
+    for name, seconds in sorted(durations.items(), key=lambda item: item[1]):
         observer.until(lambda: False, max(0.0, begun + seconds - time.monotonic()))
         processes.signal(name, signal.SIGCONT)
 
@@ -120,7 +124,10 @@ def run(
     rng = np.random.default_rng(seed)
     tasks = trouble = 0
     frozen, killed, began = Counter[str](), Counter[str](), time.monotonic()
-    with session(options, logs, pictures=False, watched=False) as graph, Judge() as judge:
+    with (
+        session(options, logs, pictures=False, watched=False) as graph,
+        FaultRecorder() as faults,
+    ):
         processes, observer, names = graph.processes, graph.observer, graph.nodes
         number = 0
         while number < count and time.monotonic() - began < 60 * minutes:
@@ -129,7 +136,7 @@ def run(
                 try:
                     if not observer.record.ready:
                         observer.enable()
-                    observer.begin_anew(graph.scenario)
+                    observer.restart(graph.scenario)
                     tasks += 1
                 # for example, a node is still stopped on a busy computer
                 except GraphError as error:
@@ -137,8 +144,8 @@ def run(
                     print(f"no task: {error}", flush=True)
             observer.until(lambda: False, rng.uniform(*PAUSE_S))
             some = rng.choice(names, size=1 + (rng.random() < 0.3), replace=False).tolist()
-            longest = {name: float(np.exp(rng.uniform(*np.log(FREEZE_S)))) for name in some}
-            chance = rng.random()
+            durations = {name: float(np.exp(rng.uniform(*np.log(FREEZE_S)))) for name in some}
+            draw = rng.random()
             if rng.random() < kills:
                 killed[some[0]] += 1
                 processes.signal(some[0], signal.SIGKILL)
@@ -149,29 +156,29 @@ def run(
                 observer.await_answers(START_S)
                 continue
             try:
-                if chance < STOPS and "planner" not in some:
+                if draw < STOPS and "planner" not in some:
                     observer.trigger("stop")
-                elif chance > 1 - STOPS and "driver" not in some:
+                elif draw > 1 - STOPS and "driver" not in some:
                     observer.trigger("emergency_stop")
-                    judge.stopped_ns = time.time_ns()
+                    faults.stopped_ns = time.time_ns()
             except GraphError as error:
                 trouble += 1
                 print(f"no stop: {error}", flush=True)
-            judge.away = some
-            freeze(processes, observer, longest)
+            faults.away = some
+            freeze(processes, observer, durations)
             frozen.update(some)
             if number % 10 == 0:
                 yield Outcome(
-                    None, f"{number} faults, {tasks} tasks, {judge.moving} moving tables, oldest "
-                    f"{judge.oldest_s:.3f} s, {len(judge.wrong)} wrong, load "
+                    None, f"{number} faults, {tasks} tasks, {faults.moving} moving tables, oldest "
+                    f"{faults.oldest_s:.3f} s, {len(faults.wrong)} wrong, load "
                     f"{os.getloadavg()[0]:.1f}",
                 )  # fmt: skip
         observer.until(lambda: False, FREEZE_S[1])
         result = {
             "faults": number, "frozen": dict(frozen), "killed": dict(killed), "tasks": tasks,
-            "minutes": (time.monotonic() - began) / 60, "tables": judge.tables,
-            "moving": judge.moving, "oldest_s": judge.oldest_s, "wrong": judge.wrong,
+            "minutes": (time.monotonic() - began) / 60, "tables": faults.tables,
+            "moving": faults.moving, "oldest_s": faults.oldest_s, "wrong": faults.wrong,
             "trouble": trouble,
             "load": os.getloadavg()[1],
         }  # fmt: skip
-        yield Outcome(result, well=not judge.wrong)
+        yield Outcome(result, well=not faults.wrong)

@@ -29,7 +29,7 @@ from graph.proc import memory_mb
 from graph.processes import ros_environment
 from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.serialization import deserialize_message, serialize_message
-from record.limits import limit_shares
+from record.limits import limit_fractions
 from trajectory_msgs.msg import JointTrajectory
 
 from cases import Outcome, chosen
@@ -51,14 +51,14 @@ from plate_interfaces.srv import PlacePart, RemovePart
 
 NODES = {node.name: node.component for node in RunOptions().nodes(load_graph())}
 NUMBERS = (0.0, -0.0, 1e-300, 1.0, -1.0, 1e3, -1e9, 1e200, -1e308, np.nan, np.inf, -np.inf)
-WORDS = ("", "x", "black_1", "motor_1", "ready", "stopped", "mono8", "\u00e9\u00e4", "a" * 5000)
+TEXTS = ("", "x", "black_1", "motor_1", "ready", "stopped", "mono8", "\u00e9\u00e4", "a" * 5000)
 WARM = 0.2
 """Fraction of the messages after which memory is measured for the first time."""
 
 POOL = 200
 """Number of valid messages of each type from which the test chooses."""
 
-COUNTS, SHARES = (0, 1, 2, 3, 11), (0.2, 0.5, 0.2, 0.09, 0.01)
+COUNTS, PROBABILITIES = (0, 1, 2, 3, 11), (0.2, 0.5, 0.2, 0.09, 0.01)
 """Numbers of parts in valid messages, and the probabilities of these numbers. Messages with many
 parts are rare, because the solver needs 0.1 s for such a message."""
 
@@ -96,7 +96,7 @@ def templates(rig: Rig, rng: np.random.Generator) -> dict[type, bytes]:
     wave = size * np.outer(np.sin(np.pi * t) ** 4 * np.sin(4 * np.pi * t), [1, 1, 3])
     cycle = PlateCycle.from_samples(float(rng.choice([0.02, 0.1, 0.2])), wave)
     stamp = to_time(0)  # `message` sets the stamp
-    count = int(rng.choice(COUNTS, p=SHARES))
+    count = int(rng.choice(COUNTS, p=PROBABILITIES))
     ids = tuple(f"{'black' if k % 2 else 'grey'}_{k // 2 + 1}" for k in range(count))
     place = rng.uniform(-1.1, 1.1, (count, 2)) * rig.plate.half
     force = rng.choice([0.003, 0.03], p=[0.95, 0.05]) * rng.normal(size=(count, 2))
@@ -129,7 +129,7 @@ def spoil(msg: Any, rng: np.random.Generator) -> None:
     elif isinstance(value, bool):
         setattr(msg, name, not value)
     elif isinstance(value, str):
-        setattr(msg, name, str(rng.choice(WORDS)))
+        setattr(msg, name, str(rng.choice(TEXTS)))
     elif isinstance(value, float):
         setattr(msg, name, float(rng.choice(NUMBERS)))
     elif isinstance(value, int):
@@ -143,20 +143,20 @@ def spoil_list(msg: Any, name: str, value: Any, rng: np.random.Generator) -> Non
     """Make a list shorter, longer, empty or unordered, or change one of its items."""
     fixed = isinstance(value, np.ndarray)
     items = list(value)
-    way = int(rng.integers(0, 5))
-    if items and hasattr(items[0], "get_fields_and_field_types") and way < 3:
+    kind = int(rng.integers(0, 5))
+    if items and hasattr(items[0], "get_fields_and_field_types") and kind < 3:
         spoil(items[int(rng.integers(len(items)))], rng)
         return
-    if fixed or (items and isinstance(items[0], float) and way < 3):
+    if fixed or (items and isinstance(items[0], float) and kind < 3):
         if items:
             items[int(rng.integers(len(items)))] = float(rng.choice(NUMBERS))
-    elif way == 0:
+    elif kind == 0:
         items = []
-    elif way == 1:
+    elif kind == 1:
         items = items[: int(rng.integers(0, len(items) + 1))]
-    elif way == 2:
+    elif kind == 2:
         items = items * 2 if len(items) < 5000 else items[:10]
-    elif way == 3:
+    elif kind == 3:
         items = [items[k] for k in rng.permutation(len(items))]
     elif items:
         items[int(rng.integers(len(items)))] = items[0]
@@ -208,7 +208,7 @@ def message(kind: type, pool: list[dict[type, bytes]], rng: np.random.Generator)
     return deserialize_message(serialize_message(msg), kind)
 
 
-class Judge:
+class MotionCheck:
     """Checks the motion that the driver sends, or the motion that the simulated device executes."""
 
     def __init__(self, node: Any, verdict: Verdict) -> None:
@@ -231,10 +231,10 @@ class Judge:
             self._check(self.node._timeline.cycle)
 
     def _check(self, cycle: PlateCycle) -> None:
-        share = float(np.max(limit_shares(self.rig, cycle)))
+        use = float(np.max(limit_fractions(self.rig, cycle)))
         self.verdict.tables += 1
-        self.verdict.moving += share > 0
-        self.verdict.worst_share = max(self.verdict.worst_share, share)
+        self.verdict.moving += use > 0
+        self.verdict.worst_share = max(self.verdict.worst_share, use)
 
 
 def own_memory_mb() -> float:
@@ -252,7 +252,7 @@ def fuzz(name: str, count: int, seed: int) -> Verdict:
         start_nodes(node)
     set_logger_level(node.get_logger().name, LoggingSeverity.FATAL)
     try:
-        judge = Judge(node, verdict)
+        check = MotionCheck(node, verdict)
         topics = topics_of(node)
         rig = load_rig()
         pool = [templates(rig, rng) for _ in range(POOL)]
@@ -271,7 +271,7 @@ def fuzz(name: str, count: int, seed: int) -> Verdict:
             if k > WARM * count:  # measure the time only after all modules and caches are loaded
                 verdict.slowest_ms = max(verdict.slowest_ms, 1e3 * (time.thread_time() - sent))
             if k % TICK == 0:
-                judge.tick()
+                check.tick()
         verdict.messages = count
         verdict.growth_mb = round(own_memory_mb() - base, 1)
         verdict.slowest_ms = round(verdict.slowest_ms, 1)

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from rclpy.serialization import deserialize_message
 from record.bag import Recorder
-from record.judge import judge, summary, there
+from record.judge import evaluate, summary, there
 from trajectory_msgs.msg import JointTrajectory
 
 from plate_bringup import GraphError, RunOptions, load_graph
@@ -51,11 +51,11 @@ from .processes import Interrupted, ros_environment, signals_raise, signals_wait
 from .robot import Grip, Robot, feed_result
 from .session import Session, session
 
-QUIET_S = 1.8
+HINT_AFTER_S = 1.8
 """Time without diagnostics of the planner after which the reason is shown [s]. The planner
 publishes diagnostics once per second."""
 
-SILENCE_S = 30.0
+TIMEOUT_S = 30.0
 """Maximum time without diagnostics of the planner [s]."""
 
 EXTRA_S = 30.0
@@ -72,7 +72,7 @@ PROGRESS_S, WAITING_S = 2.0, 10.0
 FEEDER_S = 10.0
 """Maximum wait for the feeder's diagnostics [s]."""
 
-LOOK_S = 1.0
+SEARCH_S = 1.0
 """Time to look for another graph in a chosen domain [s]. Nodes discover each other in 0.2 s."""
 
 LINE_BYTES = 4096
@@ -183,8 +183,8 @@ def checked(args: argparse.Namespace) -> Plan:
             )
         check_robot(scenario.task, args.robot_cycle)
     # Check the task: `Planner` raises an error if the task does not fit on the plate.
-    for doubt in Planner(rig, scenario).warnings():
-        print(f"demo: warning: {doubt}", flush=True)
+    for warning in Planner(rig, scenario).warnings():
+        print(f"demo: warning: {warning}", flush=True)
     # Check the parts: `start_positions` raises an error if the parts do not fit on the plate.
     start_positions(scenario, rig, np.random.default_rng(args.seed))
     check_camera(args.camera, args.port)
@@ -238,7 +238,7 @@ def check_camera(camera: str, port: str) -> None:
 def print_unmeasured(program: str, rig: Rig, port: str) -> None:
     """Before anything moves, print the properties of the rig that are not measured or are
     inconsistent."""
-    facts = [*unmeasured(rig), *(doubt.text for doubt in rig_warnings(rig))]
+    facts = [*unmeasured(rig), *(warning.text for warning in rig_warnings(rig))]
     if facts:
         print(f"{program}: before anything moves, check these facts of your rig:")
         print("\n".join(f"  - {text}" for text in facts))
@@ -406,7 +406,7 @@ def conclude(
     record, codes = graph.observer.record, graph.processes.exit_codes
     with signals_wait():
         try:
-            result = judge(plan.rig, plan.options, record, graph.nodes, codes)
+            result = evaluate(plan.rig, plan.options, record, graph.nodes, codes)
         except PlateError as error:  # the error states why no task was started
             if problem is None:
                 raise
@@ -414,11 +414,11 @@ def conclude(
             return 1
         result["wall_s"] = round(wall_s, 1)
         if isinstance(plan.scenario.task, FeedTask):
-            wanted = [pick.label for pick in plan.scenario.task.picks]
-            result |= feed_result(grips, record, plan.args.picks, wanted)
+            labels = [pick.label for pick in plan.scenario.task.picks]
+            result |= feed_result(grips, record, plan.args.picks, labels)
         if problem is not None:
-            words = str(problem).split("\n")[0]
-            result |= {"success": False, "message": f"ended by {words}"}
+            text = str(problem).split("\n")[0]
+            result |= {"success": False, "message": f"ended by {text}"}
         print(("\n" if problem else "") + summary(result), flush=True)
         write(plan.out / "result.json", result)
     if not plan.args.no_pictures:
@@ -451,7 +451,7 @@ def running(
         if chosen is not None:
             names = [node.name for node in options.nodes(load_graph())]
             with Observer(domain, pictures=False) as observer:
-                if observer.until(lambda: bool(observer.seen(names)), LOOK_S):
+                if observer.until(lambda: bool(observer.seen(names)), SEARCH_S):
                     raise GraphError(
                         f"domain is {domain}, but a {observer.seen(names)[0]} runs there already, "
                         "allowed: a domain without a graph (default: a free one)"
@@ -487,7 +487,7 @@ def watch(plan: Plan, observer: Observer, began: float) -> None:
     line, record, task = StatusLine(PROGRESS_S), observer.record, plan.scenario.task
     allowed = plan.scenario.time_limit_s * (LOCKSTEP_SLOWER if plan.options.lockstep else 1)
     end = time.monotonic() + allowed + EXTRA_S
-    count, news, seen, moving, quiet = 0, time.monotonic(), 0, False, False
+    count, news, seen, moving, shows_hint = 0, time.monotonic(), 0, False, False
     while not record.ended:
         observer.until(lambda: record.ended, line.PERIOD_S)
         if not moving:
@@ -497,15 +497,15 @@ def watch(plan: Plan, observer: Observer, began: float) -> None:
         now = time.monotonic()
         if len(record.reports("planner")) > count:
             count, news = len(record.reports("planner")), now
-        if now - news > QUIET_S:  # the last message from the planner is too old
+        if now - news > HINT_AFTER_S:  # the last message from the planner is too old
             text = f"no message from the planner for {now - news:.0f} s: {observer.blame()}"
-            (line.show if quiet else line.end)(text)
-            quiet = True
+            (line.show if shows_hint else line.end)(text)
+            shows_hint = True
         else:
             line.show(progress(task, record))
-            quiet = False
-        if now - news > SILENCE_S:
-            raise GraphError(f"no message from the planner for {SILENCE_S:g} s")
+            shows_hint = False
+        if now - news > TIMEOUT_S:
+            raise GraphError(f"no message from the planner for {TIMEOUT_S:g} s")
         if now > end:
             raise GraphError(f"the task has not ended within {allowed + EXTRA_S:g} s")
     over = record.states[-1]
@@ -619,8 +619,8 @@ class StatusLine:
 
     PERIOD_S = 0.25
 
-    def __init__(self, quiet_s: float) -> None:
-        self._quiet_s, self._terminal = quiet_s, sys.stdout.isatty()
+    def __init__(self, period_s: float) -> None:
+        self._period_s, self._terminal = period_s, sys.stdout.isatty()
         self._shown_at, self._open = 0.0, False
 
     def show(self, text: str) -> None:
@@ -629,7 +629,7 @@ class StatusLine:
         if self._terminal:
             print(f"\r\033[K  {text}", end="", flush=True)
             self._open = True
-        elif now - self._shown_at >= self._quiet_s:
+        elif now - self._shown_at >= self._period_s:
             self._shown_at = now
             print(f"  {text}", flush=True)
 

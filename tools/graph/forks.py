@@ -46,7 +46,7 @@ because the computer can be busy."""
 END_S = 5.0
 """Maximum wait for the server to end [s]."""
 
-LOOK_S = 0.01
+POLL_S = 0.01
 """Interval at which `Fork.wait` checks whether a node has ended [s]."""
 
 PR_SET_PDEATHSIG, PR_SET_NAME, PR_SET_CHILD_SUBREAPER = 1, 15, 36
@@ -176,7 +176,7 @@ class Fork:
         while (code := self.poll()) is None:
             if time.monotonic() > end:
                 raise subprocess.TimeoutExpired(str(self.pid), timeout)
-            time.sleep(LOOK_S)
+            time.sleep(POLL_S)
         return code
 
     def send_signal(self, number: int) -> None:

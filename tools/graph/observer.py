@@ -55,7 +55,7 @@ AFTER = {
 
 POLL_S = 0.05
 
-LOOK_S = 0.25
+REPORT_S = 0.25
 """Interval at which a waiting function reports its progress [s]."""
 
 ANSWERED_S = 15.0
@@ -88,10 +88,10 @@ and all earlier images are processed."""
 
 @dataclass
 class Thinned:
-    """A list of limited length. When the list has `most` items, every second item is removed. Of
-    the following items, only every second (later every fourth, ...) is kept."""
+    """A list of limited length. When the list has `max_count` items, every second item is removed.
+    Of the following items, only every second (later every fourth, ...) is kept."""
 
-    most: int = MAX_IMAGES
+    max_count: int = MAX_IMAGES
     items: list[Any] = field(default_factory=list)
     step: int = 1
     count: int = 0
@@ -100,7 +100,7 @@ class Thinned:
         """Append the item, or skip it if only every second (fourth, ...) item is kept."""
         if self.count % self.step == 0:
             self.items.append(item)
-            if len(self.items) >= self.most:
+            if len(self.items) >= self.max_count:
                 del self.items[1::2]
                 self.step *= 2
         self.count += 1
@@ -395,7 +395,7 @@ class Observer:
         """
         names = list(names)
         began, allowed_s = time.monotonic(), timeout_s
-        while not self.until(lambda: self.record.answered, LOOK_S):
+        while not self.until(lambda: self.record.answered, REPORT_S):
             waited_s = time.monotonic() - began
             self._waiting(f"waiting for the answer to the first image | {waited_s:.0f} s")
             if names and all(name in self.record.diagnostics for name in names):
@@ -501,7 +501,7 @@ class Observer:
             If the driver is not ready in time. The message contains its status.
         """
         end = time.monotonic() + READY_S
-        while not self.until(lambda: self.record.ready, LOOK_S):
+        while not self.until(lambda: self.record.ready, REPORT_S):
             reported = "nothing" if self.record.driver is None else self.record.driver.text
             if time.monotonic() > end:
                 raise GraphError(
@@ -565,7 +565,7 @@ class Observer:
             raise GraphError(f"{service} refused: {answer.message}")
         return str(answer.message)
 
-    def begin_anew(self, scenario: Scenario) -> None:
+    def restart(self, scenario: Scenario) -> None:
         """Place the parts again, reset the detector's tracking, and start the task.
 
         The driver must be ready.

@@ -16,5 +16,5 @@ def memory_mb(pid: int) -> float:
 
 def cpu_s(pid: int) -> float:
     """Return the CPU time that a process has used in user and system mode [s]."""
-    words = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rsplit(")", 1)[1].split()
-    return (int(words[11]) + int(words[12])) / TICK_S
+    fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rsplit(")", 1)[1].split()
+    return (int(fields[11]) + int(fields[12])) / TICK_S

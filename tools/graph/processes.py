@@ -178,12 +178,12 @@ class Processes:
             runs = {ONE_PROCESS: ([str(executable("plate_bringup", ONE_PROCESS)), *names], nodes)}
         else:
             runs = {n.name: ([str(executable(n.package, n.executable))], [n]) for n in nodes}
-        for name, (words, some) in runs.items():
+        for name, (command, some) in runs.items():
             file = logs / f"{name}.yaml"
             file.write_text(options.parameter_file(some), encoding="utf-8")
-            words = [*prefix.get(name, []), *words, *ROS_ARGS, str(config_path("nodes.yaml"))]
+            command = [*prefix.get(name, []), *command, *ROS_ARGS, str(config_path("nodes.yaml"))]
             remap = ["-r", ":=".join(remaps[name])] if name in remaps else []
-            self._commands[name] = [*words, "--params-file", str(file), *remap]
+            self._commands[name] = [*command, "--params-file", str(file), *remap]
         # with this variable, a process that crashes prints a traceback
         traced = {"PYTHONFAULTHANDLER": "1"}
         self._environment = os.environ | traced | ros_environment(domain) | dict(environment or {})
@@ -191,8 +191,8 @@ class Processes:
 
     def __enter__(self) -> Processes:
         try:
-            for name, words in self._commands.items():
-                self._start(name, words)
+            for name, command in self._commands.items():
+                self._start(name, command)
         except BaseException:
             self.stop()
             raise
@@ -201,15 +201,15 @@ class Processes:
     def __exit__(self, *exception: object) -> None:
         self.stop()
 
-    def _start(self, name: str, words: list[str], log_mode: str = "wb") -> None:
+    def _start(self, name: str, command: list[str], log_mode: str = "wb") -> None:
         # Each node process has its own session. Therefore Ctrl-C in the terminal interrupts only
         # this program, which then stops the nodes.
         with self.log(name).open(log_mode) as log, signals_wait():
-            if fork := Fork.start(words, self._environment, self.log(name), self._modules):
+            if fork := Fork.start(command, self._environment, self.log(name), self._modules):
                 self._running[name] = fork
                 return
             self._running[name] = subprocess.Popen(
-                words,
+                command,
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=subprocess.STDOUT,
@@ -221,13 +221,13 @@ class Processes:
     def add(self, commands: Mapping[str, list[str]]) -> None:
         """Start other programs, which are then treated like nodes."""
         self._commands |= commands
-        for name, words in commands.items():
-            self._start(name, words)
+        for name, command in commands.items():
+            self._start(name, command)
 
-    def restart(self, name: str, *words: str) -> None:
-        """Start a node again that has ended, with `words` added to its command line. The output is
-        appended to the log of the node."""
-        self._start(name, [*self._commands[name], *words], "ab")
+    def restart(self, name: str, *arguments: str) -> None:
+        """Start a node again that has ended, with `arguments` added to its command line. The output
+        is appended to the log of the node."""
+        self._start(name, [*self._commands[name], *arguments], "ab")
 
     @property
     def names(self) -> list[str]:

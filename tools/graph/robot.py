@@ -175,7 +175,7 @@ class Robot:
 
 
 def feed_result(
-    grips: list[Grip], record: Record, picks: int, wanted: Iterable[str]
+    grips: list[Grip], record: Record, picks: int, labels: Iterable[str]
 ) -> dict[str, Any]:
     """Return the entries of result.json for a run with a robot.
 
@@ -185,7 +185,7 @@ def feed_result(
     record : Record
     picks : int
         Number of parts that the robot should take.
-    wanted : iterable of str
+    labels : iterable of str
         Classes of the parts to pick. If a part of these classes leaves over the chute, the part
         counts as lost.
     """
@@ -197,7 +197,7 @@ def feed_result(
     def last_count(what: str) -> int:
         return int(record.last("simulator", what, "0"))
 
-    astray = sum(last_count(f"{label} over the chute") for label in wanted)
+    astray = sum(last_count(f"{label} over the chute") for label in labels)
     lost = last_count("parts dropped") + astray
     near = bool(taken) and max(away) <= NEAR_MM and max(turned) <= NEAR_DEG
     return {

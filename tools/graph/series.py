@@ -88,7 +88,7 @@ def work_again(
     options: RunOptions,
     logs: Path,
     done: Callable[[Series], bool],
-    longest_s: float = TASK_S,
+    max_s: float = TASK_S,
     world: Mapping[str, float] | None = None,
 ) -> Iterator[Series]:
     """Run tasks in real time until `done` returns True. Yield the series after each task.
@@ -101,7 +101,7 @@ def work_again(
         Folder for the nodes' logs.
     done : callable
         Function that receives the series up to now.
-    longest_s : float
+    max_s : float
         Maximum duration of a task [s].
     world : mapping, optional
         Parameters of the simulator.
@@ -114,7 +114,7 @@ def work_again(
         series, began = Series(), time.monotonic()
         before = {name: cpu_s(graph.processes.pid(name)) for name in names}
         while not done(series):
-            series.tasks.append(one_task(graph, hops, began, longest_s))
+            series.tasks.append(one_task(graph, hops, began, max_s))
             passed = time.monotonic() - began
             for name in names:
                 used = cpu_s(graph.processes.pid(name)) - before[name]
@@ -122,14 +122,14 @@ def work_again(
             yield series
 
 
-def one_task(graph: Session, hops: Hops, began: float, longest_s: float) -> Task:
-    """Run one task, for at most `longest_s` [s], and return its measurements."""
+def one_task(graph: Session, hops: Hops, began: float, max_s: float) -> Task:
+    """Run one task, for at most `max_s` [s], and return its measurements."""
     observer, record = graph.observer, graph.observer.record
     names = ("cycles", "held cycles", "late cycles")
     before = [int(record.last("simulator", name, "0")) for name in names]
-    observer.begin_anew(graph.scenario)
+    observer.restart(graph.scenario)
     start = time.time()
-    observer.until(lambda: record.ended, longest_s)
+    observer.until(lambda: record.ended, max_s)
     end = time.time()
     observer.until(lambda: False, 1.2)  # wait for the simulator's next diagnostics
     counts = [int(record.last("simulator", name, "0")) for name in names]

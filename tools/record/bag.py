@@ -25,7 +25,7 @@ DISCOVERY_S = 0.5
 DEPTH = 200
 """Length of the subscriptions' queues [messages]."""
 
-OURS = "plate_interfaces"
+INTERFACES = "plate_interfaces"
 """Package with the project's messages, which rosbags does not know."""
 
 BAG_VERSION: Final = 9
@@ -58,13 +58,13 @@ class Recorder:
                 "recording needs the package rosbags; run `pip install rosbags`, or use "
                 "`ros2 bag record -a`"
             ) from None
-        self._node, self._looked_at = node, -DISCOVERY_S
+        self._node, self._checked_at = node, -DISCOVERY_S
         self._types = get_typestore(Stores.ROS2_JAZZY)
-        for path in Path(get_package_share_directory(OURS)).glob("msg/*.msg"):
+        for path in Path(get_package_share_directory(INTERFACES)).glob("msg/*.msg"):
             text = path.read_text(encoding="utf-8")
-            self._types.register(get_types_from_msg(text, f"{OURS}/msg/{path.stem}"))
+            self._types.register(get_types_from_msg(text, f"{INTERFACES}/msg/{path.stem}"))
         self._writer = Writer(folder, version=BAG_VERSION, storage_plugin=StoragePlugin.MCAP)
-        self._heard: set[str] = set()
+        self._recorded: set[str] = set()
 
     def __enter__(self) -> Recorder:
         self._writer.open()
@@ -76,14 +76,14 @@ class Recorder:
     def discover(self) -> None:
         """Subscribe to topics that are new since the last search. Within `DISCOVERY_S` after a
         search, do nothing."""
-        if time.monotonic() - self._looked_at < DISCOVERY_S:
+        if time.monotonic() - self._checked_at < DISCOVERY_S:
             return
-        self._looked_at = time.monotonic()
+        self._checked_at = time.monotonic()
         for topic, kinds in self._node.get_topic_names_and_types():
             publishers = self._node.get_publishers_info_by_topic(topic)
-            if topic in self._heard or not publishers or kinds[0] not in self._types.types:
+            if topic in self._recorded or not publishers or kinds[0] not in self._types.types:
                 continue
-            self._heard.add(topic)
+            self._recorded.add(topic)
             offered = [publisher.qos_profile for publisher in publishers]
             package, _, name = kinds[0].split("/")
             kind = getattr(importlib.import_module(f"{package}.msg"), name)

@@ -33,7 +33,7 @@ class Canvas:
         Pixel of the point (0, 0) m. In metres, y points up. In pixels, y points down.
     unit : float
         Width of a thin line [px].
-    words : int
+    text_px : int
         Size of text [px].
     """
 
@@ -41,7 +41,7 @@ class Canvas:
     scale: float
     origin: tuple[float, float]
     unit: float
-    words: int
+    text_px: int
 
     def _at(self, point: Sequence | np.ndarray) -> np.ndarray:
         place = np.reshape(point, (-1, 2)) * [self.scale, -self.scale] + self.origin
@@ -58,11 +58,11 @@ class Canvas:
         lines = [self._at(piece) for piece in pieces]
         cv2.polylines(self.pixels, lines, False, colour, self._wide(width), cv2.LINE_AA, SHIFT)
 
-    def area(self, corner: Sequence | np.ndarray, colour: Colour, share: float) -> None:
-        """Fill a polygon (n, 2) [m] with the opacity `share`, and draw its outline."""
+    def area(self, corner: Sequence | np.ndarray, colour: Colour, opacity: float) -> None:
+        """Fill a polygon (n, 2) [m] with the opacity `opacity`, and draw its outline."""
         tinted = self.pixels.copy()
         cv2.fillPoly(tinted, [self._at(corner)], colour, cv2.LINE_AA, SHIFT)
-        cv2.addWeighted(tinted, share, self.pixels, 1 - share, 0, dst=self.pixels)
+        cv2.addWeighted(tinted, opacity, self.pixels, 1 - opacity, 0, dst=self.pixels)
         self.line(np.vstack([corner, corner[:1]]), colour, 1.5)
 
     def disc(
@@ -80,10 +80,10 @@ class Canvas:
     ) -> None:
         """Draw a polygon (n, 2) [m] with holes and an edge. If `face` is None, draw only the
         edge."""
-        rims = [self._at(each) for each in (corner, *holes)]
+        contours = [self._at(each) for each in (corner, *holes)]
         if face is not None:
-            cv2.fillPoly(self.pixels, rims, face, cv2.LINE_AA, SHIFT)
-        cv2.polylines(self.pixels, rims, True, edge, self._wide(1.5), cv2.LINE_AA, SHIFT)
+            cv2.fillPoly(self.pixels, contours, face, cv2.LINE_AA, SHIFT)
+        cv2.polylines(self.pixels, contours, True, edge, self._wide(1.5), cv2.LINE_AA, SHIFT)
 
     def arrow(self, start: np.ndarray, end: np.ndarray, colour: Colour, width: float = 1) -> None:
         """Draw an arrow with a filled head."""
@@ -111,7 +111,7 @@ class Canvas:
         image = Image.fromarray(self.pixels)
         at = tuple(self._at(point)[0, 0] / 2**SHIFT)
         ImageDraw.Draw(image).text(
-            at, text, INK, font(self.words), "mm", stroke_width=2, stroke_fill=WHITE
+            at, text, INK, font(self.text_px), "mm", stroke_width=2, stroke_fill=WHITE
         )
         self.pixels[:] = np.asarray(image)
 
@@ -120,14 +120,14 @@ def dashes(point: Sequence | np.ndarray, length: float) -> list[np.ndarray]:
     """Cut a line through points (n, 2) into pieces of a given length, with gaps of two thirds of
     this length."""
     point = np.asarray(point, float)
-    way = np.concatenate([[0], np.cumsum(np.hypot(*np.diff(point, axis=0).T))])
-    starts = np.arange(0, way[-1], 5 / 3 * length)
+    distance = np.concatenate([[0], np.cumsum(np.hypot(*np.diff(point, axis=0).T))])
+    starts = np.arange(0, distance[-1], 5 / 3 * length)
     pieces = []
     for start in starts:
-        end = min(start + length, way[-1])
-        inner = way[(way > start) & (way < end)]
+        end = min(start + length, distance[-1])
+        inner = distance[(distance > start) & (distance < end)]
         at = np.array([start, *inner, end])
-        pieces.append(np.column_stack([np.interp(at, way, axis) for axis in point.T]))
+        pieces.append(np.column_stack([np.interp(at, distance, axis) for axis in point.T]))
     return pieces
 
 
@@ -153,25 +153,25 @@ class Sample:
 
     width: float
     draw: Callable[[Canvas], None]
-    words: str
+    text: str
 
 
 def key(samples: Sequence[Sample], width: int, frame: Canvas) -> np.ndarray:
     """Return the image (H, W, 3) of a legend for frames like `frame`. The legend shows samples in
     the same scale with their texts, in as many lines as needed."""
-    size = frame.words
+    size = frame.text_px
     high, x, row = round(1.7 * size), size / 4, 0
     places: list[tuple[float, float, float]] = []
     for one in samples:
-        words = one.width * frame.scale + 0.5 * size
-        end = x + words + font(size).getlength(one.words)
+        left = one.width * frame.scale + 0.5 * size
+        end = x + left + font(size).getlength(one.text)
         if places and end > width:
             row, end, x = row + 1, end - x + size / 4, size / 4
-        places.append((x, (row + 0.5) * high, x + words))
+        places.append((x, (row + 0.5) * high, x + left))
         x = end + 1.3 * size
     image = Image.new("RGB", (width, (row + 1) * high), "white")
-    for one, (_, y, words) in zip(samples, places, strict=True):
-        ImageDraw.Draw(image).text((words, y), one.words, INK, font(size), "lm")
+    for one, (_, y, left) in zip(samples, places, strict=True):
+        ImageDraw.Draw(image).text((left, y), one.text, INK, font(size), "lm")
     pixels = np.array(image)
     for one, (x, y, _) in zip(samples, places, strict=True):
         one.draw(Canvas(pixels, frame.scale, (x, y), frame.unit, size))

@@ -22,7 +22,7 @@ from plate_core.tasks import AssembleTask, FollowTask, PoseTask, Task, load_scen
 from plate_planner.tasks import SLOWED
 
 from .film import develop
-from .limits import limit_shares, thermal_load
+from .limits import limit_fractions, thermal_load
 
 WAITS = {"held_cycles": "cycles held because no answer came", "late_cycles": "late cycles"}
 """Texts about the effects of a computer that was too slow, by key of the result."""
@@ -32,8 +32,8 @@ BUS = {"stroke": 1.002, "speed": 1.002, "acceleration": 1.1}
 fractions exceed 1 because the motors' splines differ from the plate's motion. Braking also adds a
 tenth to the acceleration."""
 
-SHARES = ("stroke", "speed", "accel", "force")
-"""Names of the values of `limit_shares`."""
+LIMITS = ("stroke", "speed", "accel", "force")
+"""Names of the values of `limit_fractions`."""
 
 EARLIER = 4
 """Number of earlier tables that are compared. A table that begins in motion must continue one of
@@ -59,14 +59,14 @@ class LimitCheck:
     faults : tuple of str
         Messages about invalid tables, and about cycles that began with a jump of the plate. Empty
         if there are no such faults.
-    shares : dict of str to float
-        Maximum fraction of each limit, by `SHARES`. `heat` is the maximum of a motor's I2t load
+    fractions : dict of str to float
+        Maximum fraction of each limit, by `LIMITS`. `heat` is the maximum of a motor's I2t load
         over all tables, as a fraction of the continuous load.
     """
 
     tables: int
     faults: tuple[str, ...]
-    shares: dict[str, float]
+    fractions: dict[str, float]
 
 
 def check_limits(record: Record, rig: Rig) -> LimitCheck:
@@ -77,7 +77,7 @@ def check_limits(record: Record, rig: Rig) -> LimitCheck:
     with the load p of `thermal_load`.
     """
     faults: list[str] = []
-    most, heat, hottest = np.zeros(4), np.zeros(len(rig.motors)), 0.0
+    maxima, heat, hottest = np.zeros(4), np.zeros(len(rig.motors)), 0.0
     before: deque[PlateCycle] = deque(maxlen=EARLIER)
     for number, data in enumerate(record.tables):
         try:
@@ -85,15 +85,15 @@ def check_limits(record: Record, rig: Rig) -> LimitCheck:
         except PlateError as error:
             faults.append(f"motor table {number}: {error}")
             continue
-        share = np.max([limit_shares(rig, part) for part in cycle.parts], axis=0)
+        fractions = np.max([limit_fractions(rig, part) for part in cycle.parts], axis=0)
         load = thermal_load(rig, cycle)
         heat = load + (heat - load) * np.exp(-cycle.period / rig.limits.thermal_time_s)
         hottest = max(hottest, float(np.max(heat)))
-        most = np.maximum(most, share)
-        if np.any(share > 1 + ROUNDING):
+        maxima = np.maximum(maxima, fractions)
+        if np.any(fractions > 1 + ROUNDING):
             faults.append(
-                f"motor table {number}: stroke {share[0]:.4f}, speed {share[1]:.4f}, "
-                f"acceleration {share[2]:.4f}, force {share[3]:.4f} of the limit"
+                f"motor table {number}: stroke {fractions[0]:.4f}, speed {fractions[1]:.4f}, "
+                f"acceleration {fractions[2]:.4f}, force {fractions[3]:.4f} of the limit"
             )
         if hottest > 1 + ROUNDING:
             faults.append(f"motor table {number}: heat {hottest:.4f} of the limit")
@@ -103,8 +103,8 @@ def check_limits(record: Record, rig: Rig) -> LimitCheck:
             faults.append(f"motor table {number}: does not end at rest at home")
         before.append(cycle)
     faults += jumps(record.starts)
-    shares = {**dict(zip(SHARES, most.tolist(), strict=True)), "heat": hottest}
-    return LimitCheck(len(record.tables), tuple(faults), shares)
+    result = {**dict(zip(LIMITS, maxima.tolist(), strict=True)), "heat": hottest}
+    return LimitCheck(len(record.tables), tuple(faults), result)
 
 
 def jumps(starts: Iterable[bytes]) -> list[str]:
@@ -145,7 +145,7 @@ def jumps(starts: Iterable[bytes]) -> list[str]:
     return faults
 
 
-def judge(
+def evaluate(
     rig: Rig, options: RunOptions, record: Record, seen: list[str], exit_codes: dict[str, int]
 ) -> dict[str, Any]:
     """Return the content of result.json.
@@ -166,7 +166,7 @@ def judge(
     }
     kept = limits.tables > 0 and not limits.faults
     if options.firmware:
-        kept &= all(bus[name] <= most for name, most in BUS.items())
+        kept &= all(bus[name] <= max_ms for name, max_ms in BUS.items())
     drive = rig.motors[0].drive
     return {
         "scenario": options.scenario,
@@ -190,7 +190,7 @@ def judge(
         "setpoints_within_limits": kept,
         "bus_shares_max": bus if options.firmware else None,
         "limit_faults": list(limits.faults[:5]),
-        **{f"{name}_share_max": round(share, 4) for name, share in limits.shares.items()},
+        **{f"{name}_share_max": round(fraction, 4) for name, fraction in limits.fractions.items()},
         "missed_share": typical(record, "missed_fraction"),
         "solve_ms_median": typical(record, "solve_ms_median"),
         "turn_error_deg": float(record.last("planner", "turn_error_deg")) if poses else None,
@@ -210,7 +210,7 @@ def there(task: Task) -> str:
 def typical(record: Record, key: str) -> float | None:
     """Return the median of a value in the solver's diagnostics during its searches, or None if the
     solver made no search."""
-    reports = [said.values for said in record.reports("solver")]
+    reports = [report.values for report in record.reports("solver")]
     values = [float(v[key]) for v in reports if float(v["solve_ms_median"]) > 0]
     return round(float(np.median(values)), 4) if values else None
 
@@ -234,8 +234,8 @@ def _moved(result: dict[str, Any]) -> tuple[str, str]:
     if result["turn_error_deg"] is not None:
         done += f", maximum angle error {result['turn_error_deg']:.1f} degrees"
     done += f" in {result['time_s']:.1f} s and {result['cycles']} cycles"
-    used = max(result[f"{name}_share_max"] for name in SHARES)
-    waits = [f"{result[key]} {words}" for key, words in WAITS.items() if result[key]]
+    used = max(result[f"{name}_share_max"] for name in LIMITS)
+    waits = [f"{result[key]} {text}" for key, text in WAITS.items() if result[key]]
     waited = f" {', '.join(waits)} (machine load {result['load']:g})." if waits else ""
     return f"{done}, {result['dropped'] or 'none'} dropped", f" ({100 * used:.0f} % used).{waited}"
 
@@ -243,11 +243,11 @@ def _moved(result: dict[str, Any]) -> tuple[str, str]:
 def _fed(result: dict[str, Any]) -> tuple[str, str]:
     done = f"{result['picks']} parts taken in {result['time_s']:.0f} s"
     if result["picks"]:
-        (away, most), (turned, most_turned) = result["pick_error_mm"], result["pick_error_deg"]
+        (away, max_mm), (turned, max_deg) = result["pick_error_mm"], result["pick_error_deg"]
         done += (
             f" ({result['parts_per_minute']:.0f} per minute), the robot waited "
             f"{100 * result['robot_waits_share']:.1f} % of the time. The parts' errors were "
-            f"{away:.2f} mm and {turned:.1f} degrees, at most {most:.2f} mm and {most_turned:.1f} "
+            f"{away:.2f} mm and {turned:.1f} degrees, at most {max_mm:.2f} mm and {max_deg:.1f} "
             "degrees"
         )
     return (

@@ -23,17 +23,17 @@ Motion = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Pose, twist and acceleration of the plate (n, 3) at n instants."""
 
 
-def limit_shares(rig: Rig, cycle: PlateCycle) -> np.ndarray:
+def limit_fractions(rig: Rig, cycle: PlateCycle) -> np.ndarray:
     """Return the maximum fractions (4,) of stroke, speed, acceleration and force in one cycle."""
-    motion, (point, way) = _motion(cycle, _all_times(cycle)), _motors(rig)
+    motion, (point, direction) = _motion(cycle, _all_times(cycle)), _motors(rig)
     place, velocity, _ = _points(motion, point)
-    most = [
-        _along(way, place - point) / rig.limits.stroke_m,
-        _along(way, velocity) / rig.limits.speed,
+    values = [
+        _along(direction, place - point) / rig.limits.stroke_m,
+        _along(direction, velocity) / rig.limits.speed,
         corner_accels(rig, motion) / rig.limits.accel,
         motor_forces(rig, motion) / rig.limits.force,
     ]
-    return np.array([np.max(np.abs(share)) for share in most])
+    return np.array([np.max(np.abs(value)) for value in values])
 
 
 def thermal_load(rig: Rig, cycle: PlateCycle) -> np.ndarray:
@@ -65,8 +65,8 @@ def motor_forces(rig: Rig, motion: Motion) -> np.ndarray:
             np.array(getattr(rig.suspension, name)) for name in ("mass", "damping", "stiffness")
         )
         wrench = accel @ mass + twist @ damping + pose @ stiffness
-    point, way = _motors(rig)
-    pushes = np.array([way.real, way.imag, (point.conj() * way).imag])
+    point, direction = _motors(rig)
+    pushes = np.array([direction.real, direction.imag, (point.conj() * direction).imag])
     return np.asarray(np.linalg.lstsq(pushes, wrench.T, rcond=None)[0].T)
 
 
@@ -110,6 +110,6 @@ def _complex(vectors: np.ndarray) -> np.ndarray:
     return np.asarray(vectors[:, 0] + 1j * vectors[:, 1])
 
 
-def _along(way: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+def _along(direction: np.ndarray, vectors: np.ndarray) -> np.ndarray:
     """Return the components of vectors (n, m) along unit vectors (m,)."""
-    return np.asarray((way.conj() * vectors).real)
+    return np.asarray((direction.conj() * vectors).real)

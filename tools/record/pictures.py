@@ -73,8 +73,8 @@ removed [s]. In other tasks, trails begin at the start of the task."""
 NOW = 1e-6
 """Tolerance for rounding of times [s]."""
 
-TRUE_RAY, WANTED_RAY, BESIDE = 2.8, 5.5, 4.5
-"""`TRUE_RAY`: length of the line that shows a part's angle [part radii]. `WANTED_RAY`: length of
+TRUE_RAY, REQUESTED_RAY, BESIDE = 2.8, 5.5, 4.5
+"""`TRUE_RAY`: length of the line that shows a part's angle [part radii]. `REQUESTED_RAY`: length of
 the line that shows its target angle. `BESIDE`: distance of the angle's text from the part's
 centre."""
 
@@ -191,7 +191,7 @@ class Layout:
 
     columns: int
     frame: tuple[int, int]
-    words: int
+    text_px: int
 
     GAP = 14
     """Gap between frames [px]."""
@@ -207,23 +207,23 @@ class Layout:
         wide, high = self.frame[0], round(2 * half[1] * scale)
         if pixels is None:
             pixels = np.full((high, wide, 3), 255, np.uint8)
-        return Canvas(pixels.copy(), scale, (wide / 2, high / 2), wide * self.THIN, self.words)
+        return Canvas(pixels.copy(), scale, (wide / 2, high / 2), wide * self.THIN, self.text_px)
 
     def sheet(
         self, frames: list[np.ndarray], clocks: list[str], title: str, right: str, key: np.ndarray
     ) -> Image.Image:
         """Return a picture that consists of the title, the frames in rows with their times, and the
         legend."""
-        gap = np.full((frames[0].shape[0] + round(1.6 * self.words), self.GAP, 3), 255, np.uint8)
+        gap = np.full((frames[0].shape[0] + round(1.6 * self.text_px), self.GAP, 3), 255, np.uint8)
         tiles = [
-            np.vstack([heading(self.frame[0], self.words, clock), frame])
+            np.vstack([heading(self.frame[0], self.text_px, clock), frame])
             for clock, frame in zip(clocks, frames, strict=True)
         ]
         rows = [
             np.hstack([piece for frame in tiles[k : k + self.columns] for piece in (gap, frame)])
             for k in range(0, len(tiles), self.columns)
         ]
-        top = heading(self.width, self.words, title, right)
+        top = heading(self.width, self.text_px, title, right)
         page = np.vstack([top, *(row[:, self.GAP :] for row in rows), key])
         return Image.fromarray(np.pad(page, ((0, 0), (8, 8), (0, 0)), constant_values=255))
 
@@ -265,8 +265,8 @@ class Arrows:
         length that is before the given point."""
         size = np.maximum(np.hypot(*force.T), self.force)
         whole = self.length * force / size[:, None]
-        for start, way in zip(point - pivot * whole, whole, strict=True):
-            canvas.arrow(start, start + way, FORCE, width)
+        for start, arrow in zip(point - pivot * whole, whole, strict=True):
+            canvas.arrow(start, start + arrow, FORCE, width)
 
 
 def draw_strip(scene: Scene, path: Path, title: str) -> None:
@@ -393,7 +393,7 @@ def draw_angle(
     """Draw a line for the angle of a part. If `dashed` is False, the line shows the angle, and its
     value is beside the part. If `dashed` is True, the line shows the target angle, and its value is
     at the end of the line."""
-    along, ray = np.array([np.cos(angle), np.sin(angle)]), WANTED_RAY if dashed else TRUE_RAY
+    along, ray = np.array([np.cos(angle), np.sin(angle)]), REQUESTED_RAY if dashed else TRUE_RAY
     canvas.line(centre + radius * np.outer([1.0, ray], along), colour, 2, dashed)
     side = [-BESIDE if along[0] > 0.1 else BESIDE, 0.0]
     at = centre + radius * (np.array(side) if not dashed else (ray + 1.5) * along)
@@ -402,9 +402,9 @@ def draw_angle(
 
 def samples(scene: Scene, arrows: Arrows, frame: Canvas) -> list[Sample]:
     """Return the entries of the legend for the frames of this run."""
-    radius = min(scene.rig.parts.radius_m, 0.5 * frame.words / frame.scale)
+    radius = min(scene.rig.parts.radius_m, 0.5 * frame.text_px / frame.scale)
     bar = round_number(scene.rig.plate.length_m / 6)
-    ray, end = WANTED_RAY * radius, np.array([radius, 0.0])
+    ray, end = REQUESTED_RAY * radius, np.array([radius, 0.0])
     force = np.array([[arrows.force, 0.0]])
     found = [class_sample(scene, label, radius) for label in dict.fromkeys(scene.labels)]
     found.append(

@@ -28,17 +28,17 @@ def make(context: TransportContext) -> Relay:
     trajectories = node.create_publisher(JointTrajectory, TOPIC, DATA)
     names = [motor.name for motor in context.rig.motors]
 
-    def command(way: Trajectory) -> None:
+    def command(trajectory: Trajectory) -> None:
         now = Time()  # the controller starts a trajectory whose stamp is zero immediately
-        states = (way.position, way.velocity, way.acceleration)
-        trajectories.publish(trajectory_to_msg(names, way.times, *states, now))
+        states = (trajectory.position, trajectory.velocity, trajectory.acceleration)
+        trajectories.publish(trajectory_to_msg(names, trajectory.times, *states, now))
 
     relay = Relay(context.rig, command, context.publish, context.clock)
 
     def on_states(msg: JointState) -> None:
         places = dict(zip(msg.name, msg.position, strict=False))
         if all(name in places for name in names):
-            relay.heard(np.array([places[name] for name in names]))
+            relay.receive(np.array([places[name] for name in names]))
 
     node.create_subscription(JointState, "joint_states", on_states, DATA)
 

@@ -19,7 +19,7 @@ from plate_core.motion import motor_state
 from plate_driver.setpoints import MAX_KNOTS, MotorTable, unspliced
 from plate_driver.transports import Condition, Measured, Order, Report
 
-SILENCE_S = 0.25
+MAX_AGE_S = 0.25
 """Maximum age of joint states [s]."""
 
 BRAKE_S, STEP_S, HOMEWARD_S = 0.2, 0.005, 0.5
@@ -81,7 +81,7 @@ class Relay:
         self._enabled = False
         self._next: tuple[MotorTable, int] | None = None
         self._playing: MotorTable | None = None
-        self._left = 0
+        self._plays_left = 0
         self._began = 0.0
         self._rests_at = float("-inf")  # time at which the last braking ends
         self._stop: tuple[Order, float] | None = None
@@ -90,7 +90,7 @@ class Relay:
     def open(self) -> None:
         """Do nothing. The joint states show whether the controller runs."""
 
-    def heard(self, position: np.ndarray) -> None:
+    def receive(self, position: np.ndarray) -> None:
         """Record the motors' travel (4,) [m] from a joint state."""
         now = self._clock()
         recent = [state for state in self._states if now - state[0] <= 2 * STILL_S]
@@ -102,14 +102,14 @@ class Relay:
         self._settle_stop(now)
         playing = self._playing
         if playing is not None and now - self._began >= playing.cycle.period:
-            self._left -= 1
-            if self._next is None and self._left > 0:
+            self._plays_left -= 1
+            if self._next is None and self._plays_left > 0:
                 self._play(playing, now)
             elif self._next is None:
                 self._playing = None
         ended = self._playing is None or now - self._began >= self._playing.cycle.period
         if self._next is not None and ended and now >= self._rests_at:
-            (table, self._left), self._next = self._next, None
+            (table, self._plays_left), self._next = self._next, None
             self._play(table, now)
         return []
 
@@ -117,7 +117,7 @@ class Relay:
         """Return the condition of the motors. A joint_trajectory_controller does not report whether
         current flows."""
         now = self._clock()
-        if not self._states or now - self._states[-1][0] > SILENCE_S:
+        if not self._states or now - self._states[-1][0] > MAX_AGE_S:
             return Report(Condition.GONE, DriverReason.NO_ANSWER, "no joint_states")
         if now < self._rests_at:
             return Report(Condition.BRAKING)
@@ -156,7 +156,7 @@ class Relay:
         """Accept tables from now on. Refuse if no joint states arrive, or if the motors are away
         from home or braking."""
         now, order = self._clock(), Order()
-        if not self._states or now - self._states[-1][0] > SILENCE_S:
+        if not self._states or now - self._states[-1][0] > MAX_AGE_S:
             return order.complete(
                 "no joint_states are received; check that joint_state_broadcaster runs"
             )
@@ -193,11 +193,11 @@ class Relay:
         `STOP_S`, complete it with an error."""
         if self._stop is None:
             return
-        order, asked = self._stop
+        order, requested_at = self._stop
         recent = [p for t, p in self._states if now - t <= STILL_S and t >= self._rests_at]
         if len(recent) > 1 and np.max(np.ptp(recent, axis=0)) < STILL_M:
             order.complete()
-        elif now - asked > STOP_S:
+        elif now - requested_at > STOP_S:
             order.complete("joint_states do not show that the motors are at rest")
         if order.completed:
             self._stop = None
