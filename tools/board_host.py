@@ -122,7 +122,7 @@ class Host:
     def tick(self) -> None:
         """Simulate one tick: the line carries waiting bytes to the board, `pace` at most, and the
         board's packets are received."""
-        size = min(self._pace, self.board.room()) if self.waiting else 0
+        size = min(self._pace, self.board.free_bytes()) if self.waiting else 0
         now, self.waiting = self.waiting[:size], self.waiting[size:]
         self._ticks += 1
         self._reader, packets = self._reader.fed(self.board.tick(now))
@@ -143,7 +143,7 @@ class Host:
         """Simulate until the board has received and read all queued bytes."""
         while self.waiting:
             self.tick()
-        self.until(lambda: self.board.room() == RING_BYTES)
+        self.until(lambda: self.board.free_bytes() == RING_BYTES)
 
     def numbered(self, message: Message) -> bytes:
         """Return the frame that carries a message with the next sequence number."""
