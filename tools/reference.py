@@ -6,6 +6,7 @@ python tools/reference.py
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 from collections.abc import Iterable
 from pathlib import Path
@@ -18,6 +19,9 @@ PAGE = Path(__file__).resolve().parents[1] / "docs/reference.md"
 MAX_LISTED = 10
 """Maximum number of choices that the page lists for a key. Messages about a wrong choice list all
 choices."""
+
+KIND = re.compile(r"task, kind: \w+")
+"""Pattern of the heading of the section on one kind of task."""
 
 HEAD = """# All keys of scenario and rig files
 
@@ -40,11 +44,23 @@ def page() -> str:
 
 
 def _sections(sections: Iterable[Section]) -> Iterable[str]:
-    """Yield the sections of a file."""
+    """Yield the sections of a file. Keys that several kinds of task share are in the section
+    `task`."""
+    sections = tuple(sections)
+    kinds: dict[Key, list[str]] = {}
+    for section in sections:
+        if KIND.fullmatch(section.where):
+            for key in section.keys:
+                kinds.setdefault(key, []).append(section.where.split()[-1])
+    shared = {key: names for key, names in kinds.items() if len(names) > 1 and key.required}
     for section in sections:
         yield f"\n### `{section.where}`\n\n{section.about}\n"
         for key in section.keys:
-            yield f"\n- `{key.name}` ({_what(key)}{_default(key)}): {key.meaning}\n"
+            if not (KIND.fullmatch(section.where) and key in shared):
+                yield f"\n- `{key.name}` ({_what(key)}{_default(key)}): {key.meaning}\n"
+        if section.where == "task":
+            for key, names in shared.items():
+                yield f"\n- `{key.name}` ({_what(key)}; for {', '.join(names)}): {key.meaning}\n"
 
 
 def _what(key: Key) -> str:

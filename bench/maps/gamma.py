@@ -133,6 +133,6 @@ MAP = StabilityMap(
     steps=True,
     finding="The average force neglects the velocity of the parts. Therefore it is wrong unless "
     "the shaking ratio is much higher than a rig can reach.",
-    note=f"In the one evaluated cycle, the parts start at rest. Values are medians of {REQUESTS} "
+    note=f"Parts start at rest. Values are medians of {REQUESTS} "
     f"random requests up to {FORCE:g} mu mg on each axis. The default rig has Γ = 40.8.",
 )

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from report.chart import Chart, Data
-from report.page import machines, measured, usual_commit
+from report.page import machines, usual_commit
 
 FOLDER = "results"
 """Folder of the pictures and CSV files, next to the page."""
@@ -38,8 +39,9 @@ zoom and all rows.
 - In the stability maps (the last five charts), the black line is the measured border between
   success and failure. The dashed line is the border by theory.
 
-- The line *Data* gives the duration of each measurement, and the computer's load. `make bench
-  ARGS=NAME` repeats the measurement.
+- `make bench ARGS=NAME` repeats the measurement that the line *Data* names.
+  [measured.json](results/measured.json) contains the duration of each measurement,
+  and the computer's load.
 
 The solver predicts each motion over two successive plays. The measurements `free_running`,
 `drives`, `rigs`, `feeding` and the films are older, with a prediction of one play.
@@ -99,7 +101,10 @@ def section(chart: Chart, facts: Data, commit: str) -> str:
     ]
     if chart.default:
         lines.append(f"Default: {chart.default}\n")
-    measurements = [f"`{name}`{measured(facts.get(name), commit)}" for name in chart.sources]
+    measurements = []
+    for name in chart.sources:
+        own = facts.get(name, {}).get("commit") or commit
+        measurements.append(f"`{name}`" + f" (commit {own})" * (own != commit))
     lines.append(f"[Data]({FOLDER}/{chart.key}.csv): {', '.join(measurements)}.\n")
     return "\n".join(lines)
 
@@ -116,11 +121,16 @@ def demos(folder: Path) -> str:
         "given, the command is `make demo SCENARIO=NAME ARGS=--lockstep`. `python tools/demos.py` "
         "makes all films. An arrow is the mean friction force on a part in the running cycle.\n",
     ]
+    before = ""
     for name, run in runs.items():
         text = run["description"]
+        # Films that differ only in the number of parts get one description.
+        if (pattern := re.sub(r"\d+", "N", text)) == before:
+            text = ""
+        before = pattern
         if run["command"] != f"make demo SCENARIO={name} ARGS=--lockstep":
             text += f" `{run['command']}`"
-        lines.append(f"### {name}\n\n{text}\n")
+        lines.append(f"### {name}\n" + f"\n{text.strip()}\n" * bool(text))
         if (folder / f"{name}.webp").exists():
             film, strip = f"{FOLDER}/{name}.webp", f"{FOLDER}/{name}.png"
             lines.append(f"[![{name}]({film})]({strip})\n")

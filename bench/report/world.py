@@ -76,7 +76,7 @@ def sim(rows: list[Row]) -> Drawn:
         "The minimum error of the simulator is "
         f"{min(column(cases['travel'], 'error_mm')):.0e} mm.",
         f"Points are simulated event by event with a tolerance of {DEFAULT_TOLERANCE}. Parts of "
-        f"finite size are simulated in steps of {1e3 * STEP:g} ms, with an invisible overlap.",
+        f"finite size are simulated in steps of {1e3 * STEP:g} ms.",
     )
 
 
