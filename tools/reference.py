@@ -25,9 +25,8 @@ KIND = re.compile(r"task, kind: \w+")
 
 HEAD = """# All keys of scenario and rig files
 
-`python tools/reference.py` generates this page from the code that reads the files. Brackets contain
-the type, the allowed range, the unit and the default of a key. A key without a default is required.
-If a value is wrong, the error message names file, key, value and allowed values.
+`python tools/reference.py` generates this page. Brackets contain the type, the allowed range, the
+unit and the default of a key. A key without a default is required.
 
 A point [x, y] is given in metres in the frame `plate_home`, from -10 to 10 m. The origin of this
 frame is the centre of the plate at rest. The axis x points along the plate's long side, and y to

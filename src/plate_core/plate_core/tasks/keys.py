@@ -115,7 +115,7 @@ TASK = Section(
         Key(
             "kind",
             Choice(KINDS),
-            "Kind of the task. The next sections list the other keys of each kind.",
+            "Kind of the task, which determines the other keys.",
         ),
     ),
 )
