@@ -13,7 +13,7 @@ from fake_camera import FakeCamera
 from plate_core import PlateError
 from plate_core.status import Level
 from plate_vision.errors import ImageError
-from plate_vision.image_sources import CameraError, Settings, Watch, listing, make_source
+from plate_vision.image_sources import CameraError, Settings, Watch, listing, make_source, played
 from plate_vision.image_sources import v4l2_device as v4l2
 from plate_vision.image_sources.played import FilmSource, PipeSource
 from plate_vision.image_sources.source import unpack_frame
@@ -104,8 +104,9 @@ def test_what_is_automatic_is_off_and_what_is_given_is_set(make):
     off = (v4l2.AUTO_PRIORITY, v4l2.AUTO_WHITE_BALANCE, v4l2.AUTO_FOCUS)
     assert [opened.value(number) for number in off] == [0, 0, 0]
     opened.source.close()
-    chosen = make(auto_exposure=True).opened()
+    chosen = make(auto_exposure=True, gain=0).opened()
     assert chosen.value(v4l2.AUTO_EXPOSURE) == 3
+    assert chosen.value(v4l2.GAIN) == 0
 
 
 @pytest.mark.parametrize(
@@ -249,6 +250,31 @@ def test_a_folder_and_a_film_play_at_their_rate(tmp_path):
     assert [int(frame.pixels[0, 0, 0]) for frame in frames[:3]] == [0, 50, 100]
     source.open()
     assert source.read(Event()).name == "0.png"
+
+
+@pytest.mark.parametrize(
+    ("rate", "used"), [(0.99, 30.0), (1.0, 1.0), (240.0, 240.0), (1e6, 30.0), (np.nan, 30.0)]
+)
+def test_an_impossible_rate_in_a_film_is_ignored(monkeypatch, rate, used):
+    class Film:
+        is_film, names = True, ()
+
+        def __next__(self):
+            return "frame", np.zeros((48, 64, 3), np.uint8)
+
+    Film.rate = rate
+    monkeypatch.setattr(played, "read_pictures", lambda path, warn: Film())
+    now = [0.0]
+
+    class Waited(Event):
+        def wait(self, timeout=None):
+            now[0] += timeout
+            return False
+
+    source = FilmSource(Settings("film.avi"), pytest.fail, lambda: now[0])
+    source.open()
+    first, second = (source.read(Waited()).instant for _ in range(2))
+    assert second - first == pytest.approx(1 / used)
 
 
 def test_stamps_of_a_film_are_regular_unless_it_cannot_keep_up(tmp_path):
