@@ -211,7 +211,7 @@ def test_only_known_libraries_and_package_xml_names_them():
     assert not offenders, f"known: {sorted(LIBRARIES)}\n" + "\n".join(offenders)
 
 
-def test_package_xml_says_in_a_comment_what_pip_alone_installs():
+def test_package_xml_lists_in_a_comment_what_only_pip_installs():
     for package in PACKAGES:
         needed = {root for path in sources(package) for root in roots(path)} & BY_PIP
         text = (ROOT / "src" / package / "package.xml").read_text(encoding="utf-8")

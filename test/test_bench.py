@@ -253,7 +253,7 @@ def test_a_drive_on_a_bus_is_as_late_as_its_setpoints(drive, late_ms):
     assert np.sqrt(np.mean((motion.pose(at)[:, 0] - wanted) ** 2)) < 3e-5
 
 
-def test_intervals_are_as_wide_as_they_say():
+def test_intervals_have_the_stated_coverage():
     # Wilson's interval by hand: (p + z²/2n ± z sqrt(p(1-p)/n + z²/4n²)) / (1 + z²/n)
     p, n, z = 0.7, 20, 1.959964
     middle, half = p + z * z / 2 / n, z * math.sqrt(p * (1 - p) / n + (z / 2 / n) ** 2)

@@ -178,7 +178,7 @@ STANDARD = "limits of the original config/rig.yaml (RIG is not set)"
 
 
 @emulated
-def test_flash_takes_what_was_built_as_told_and_says_what_that_is(bench):
+def test_flash_uses_the_named_build_and_reports_it(bench):
     assert "nothing is built" in bench.refused("flash")
     code, told, _ = bench.make()
     assert code == 0
@@ -232,7 +232,7 @@ def test_flash_takes_what_was_built_as_told_and_says_what_that_is(bench):
     assert STANDARD in told
 
 
-def test_build_without_the_projects_python_says_what_to_do(bench):
+def test_build_without_the_projects_python_reports_a_remedy(bench):
     line = bench.refused(f"RIG={bench.rig}", "PYTHON=no_python")
     assert "no_python" in line
     assert f"run make setup in {ROOT}, or source its env.sh" in line
@@ -484,7 +484,7 @@ class BoardPort:
         self._written = self._said = b""
 
     def pass_tick(self) -> None:
-        size = min(LINE_BYTES, self._board.room())
+        size = min(LINE_BYTES, self._board.free_bytes())
         came, self._written = self._written[:size], self._written[size:]
         self._said += self._board.tick(came)
         self.now += 1e-3

@@ -26,7 +26,7 @@ def test_a_seed_gives_one_scene():
 @pytest.mark.parametrize(
     "name", ["plain", "tilt 30 sideways", "strong lens", "bright on 70", "sizes 0.8, 1 and 1.2"]
 )
-def test_discs_are_where_the_scene_says(name):
+def test_discs_are_at_the_places_of_the_scene(name):
     """Each disc differs from the plate beside it, by OpenCV's projection of its place."""
     one = scene(name, 3)
     assert len(one.position) == DISCS

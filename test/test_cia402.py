@@ -204,7 +204,7 @@ def test_drives_that_are_not_there_are_named(bench):
     assert said_by(bench, DriveTrouble)[-1].text == "motor_2: the drive does not answer"
 
 
-def test_the_drives_are_told_the_table_and_follow(bench):
+def test_the_drives_receive_the_table_and_follow(bench):
     playing(bench, PLATE)
     live(bench, 500)
     check_bus(bench)
@@ -333,7 +333,7 @@ DELAYS_MS = {troubles.lose_heartbeat: 203, troubles.jam: 40, troubles.bus_off: 6
 
 
 @pytest.mark.parametrize(("trouble", "kind", "code", "fault"), FAULTS)
-def test_a_fault_takes_the_current_of_all_and_is_told(bench, trouble, kind, code, fault):
+def test_a_fault_switches_all_currents_off_and_is_reported(bench, trouble, kind, code, fault):
     playing(bench, PLATE, 0.008)
     drive, stop, since = bench.drives[1], bench.stop, bench.network.now
     trouble(bench, drive)
@@ -397,7 +397,7 @@ def test_once_it_is_over_a_person_enables_again(bench, trouble):
     "trouble",
     [troubles.reset, troubles.lose_heartbeat, troubles.stopped, troubles.moved_in_bus_off],
 )
-def test_where_home_may_be_lost_it_takes_a_person_to_say_where_it_is(bench, trouble):
+def test_a_person_confirms_home_if_it_may_be_lost(bench, trouble):
     playing(bench, PLATE)
     trouble(bench, bench.drives[1])
     live(bench, 2600)
@@ -715,7 +715,7 @@ class Port:
         (troubles.reset, DriverReason.HARDWARE, "hardware: motor_2: the drive was reset"),
     ],
 )
-def test_the_driver_says_axis_and_the_drives_own_words(bench, trouble, reason, text):
+def test_the_driver_reports_the_axis_and_the_drives_message(bench, trouble, reason, text):
     transport = SerialTransport(lambda: Port(bench), lambda: 1e-3 * bench.network.now, 7)
 
     def passed(ms):

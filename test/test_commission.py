@@ -232,7 +232,7 @@ WRONG = [
 
 
 @pytest.mark.parametrize(("change", "text"), WRONG)
-def test_what_does_not_fit_is_said(bench, rig_file, capsys, change, text):
+def test_mismatches_are_reported(bench, rig_file, capsys, change, text):
     change(bench)
     assert bench.run(rig_file, only_check=True) == 1
     (line,) = [line for line in capsys.readouterr().out.splitlines() if "WRONG" in line]
@@ -325,7 +325,7 @@ TROUBLES = [
 
 
 @pytest.mark.parametrize(("happens", "text", "within_ms"), TROUBLES)
-def test_a_trouble_ends_a_motion_and_is_said(bench, rig_file, capsys, happens, text, within_ms):
+def test_a_trouble_ends_a_motion_and_is_reported(bench, rig_file, capsys, happens, text, within_ms):
     before = rig_file.read_bytes()
     bench.only(2)
     bench.moving(lambda drive: happens(bench, drive))
@@ -362,7 +362,7 @@ def test_a_drive_that_counts_from_elsewhere_once_it_has_current_is_let_go(bench,
     assert drive.history[3:] == ["switch on disabled"]
 
 
-def test_a_motor_that_does_not_move_is_said(bench, rig_file, capsys):
+def test_a_motor_that_does_not_move_is_reported(bench, rig_file, capsys):
     """Though that is less than following_error_m."""
     bench.drives[0].jammed = True
     bench.only(1)
@@ -502,7 +502,7 @@ ask("c?", int)
         (["nosuch"], "rig is 'nosuch', allowed: desk"),
     ],
 )
-def test_what_cannot_begin_is_said(capsys, monkeypatch, words, text):
+def test_a_failed_start_is_reported(capsys, monkeypatch, words, text):
     monkeypatch.setattr(sys, "argv", ["commission", *words])
     with pytest.raises(SystemExit) as end:
         main()
@@ -510,7 +510,7 @@ def test_what_cannot_begin_is_said(capsys, monkeypatch, words, text):
     assert f"error: {text}" in capsys.readouterr().err
 
 
-def test_an_adapter_that_is_pulled_out_is_said(capsys, monkeypatch):
+def test_an_adapter_that_is_pulled_out_is_reported(capsys, monkeypatch):
     class Gone:
         def send(self, *_, **__):
             raise OSError("no such device")
@@ -545,11 +545,11 @@ def test_lost_arbitration_is_no_error_of_the_bus():
         next(frames)
 
 
-def test_a_negative_code_is_told_as_the_drive_sends_it():
+def test_a_negative_code_is_reported_as_the_drive_sends_it():
     assert "is FFFFFFFFh" in trouble_text(2, Trouble.WRONG_DRIVE, 0x6061, -1)
 
 
-def test_without_python_can_it_says_so(capsys, monkeypatch):
+def test_a_missing_python_can_is_reported(capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "can", None)
     monkeypatch.setattr(sys, "argv", ["commission", "linear_motors"])
     with pytest.raises(SystemExit):

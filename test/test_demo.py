@@ -271,7 +271,7 @@ def test_what_an_interrupted_task_did_counts_to_the_last_that_is_known():
     ("rig", "title"),
     [("desk", "rig desk"), ("my/rig.yaml", "rig.yaml"), ("/a/my_plate.yml", "my_plate.yml")],
 )
-def test_the_title_says_rig_once(rig, title):
+def test_the_title_contains_rig_once(rig, title):
     assert rig_title(rig) == title
 
 
@@ -294,7 +294,7 @@ def test_every_run_has_a_folder_of_its_own(tmp_path, monkeypatch):
     assert LAST.resolve() == second.resolve()
 
 
-def test_a_camera_that_is_missing_is_said_at_once(tmp_path, monkeypatch, capsys):
+def test_a_missing_camera_is_reported_at_once(tmp_path, monkeypatch, capsys):
     _, port = os.openpty()  # a serial port on which no device answers
     words = ["--transport", "serial", "--port", os.ttyname(port), "--out", str(tmp_path)]
     monkeypatch.setattr(sys, "argv", ["demo.py", *words])
@@ -307,7 +307,7 @@ def test_a_camera_that_is_missing_is_said_at_once(tmp_path, monkeypatch, capsys)
     assert problem in capsys.readouterr().err
 
 
-def test_a_full_disk_is_said_in_a_line(tmp_path, monkeypatch, capsys):
+def test_a_full_disk_is_reported_in_one_line(tmp_path, monkeypatch, capsys):
     def full(plan):
         Path("/dev/full").write_text("x", encoding="utf-8")
 
@@ -333,7 +333,7 @@ def test_a_node_that_dies_at_start_is_named_with_its_reason(tmp_path, monkeypatc
     assert "nodes answer" not in output
 
 
-def test_why_a_task_failed_is_told_before_its_nodes_end(monkeypatch, capsys):
+def test_a_failure_is_reported_before_the_nodes_end(monkeypatch, capsys):
     """One that is frozen is waited for then, for ten seconds."""
     why = "aborted after 5.0 s: the solver no longer publishes diagnostics"
     record = SimpleNamespace(ended=True, states=[why])

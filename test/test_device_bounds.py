@@ -208,7 +208,7 @@ def jam_time(device) -> float:
     return run(device, *PLAYING).times[-1] - 0.5e-3
 
 
-def test_a_following_error_that_is_small_or_short_is_told_and_is_no_fault(device):
+def test_a_small_or_short_following_error_is_reported_and_is_no_fault(device):
     small = [*READY, upload(1, wave(0.0014), 110), UPLOAD_S, "jam 1", *alive(0.1)]
     done = run(device, *small)
     assert (done.state, done.faults) == (State.PLAYING, Fault.NONE)

@@ -183,7 +183,7 @@ def near_limits(rng: np.random.Generator, knots: tuple[Knot, ...]) -> tuple[Knot
     return tuple(table)
 
 
-def test_whatever_is_asked_the_limits_are_kept_in_the_simulator_too(program):
+def test_the_simulator_keeps_the_limits_for_all_requests(program):
     """The simulator's device does the same, to the last bit."""
     firmware, rng = running(program), np.random.default_rng(11)
     states: set[State] = set()

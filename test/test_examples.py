@@ -113,7 +113,7 @@ def test_the_control_law_of_ones_own_needs_no_ros(monkeypatch, tmp_path):
         ),
     ],
 )
-def test_a_planner_of_ones_own_that_asks_for_nonsense_is_refused(tmp_path, answer, message):
+def test_invalid_requests_of_a_custom_planner_are_refused(tmp_path, answer, message):
     own = tmp_path / "own.py"
     own.write_text(
         "import numpy as np\nfrom plate_core import CycleRequest\n\n\nclass OwnPlanner:\n"

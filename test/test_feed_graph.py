@@ -60,7 +60,7 @@ def moves(observer):
     return found
 
 
-def test_a_robot_takes_parts_from_where_they_are_said_to_be(graph, robot):
+def test_a_robot_takes_parts_from_the_reported_places(graph, robot):
     table = moves(graph.observer)
     graph.observer.until(lambda: False, 2.0)
     assert not table, "nothing moves before somebody asks"
@@ -75,7 +75,7 @@ def test_a_robot_takes_parts_from_where_they_are_said_to_be(graph, robot):
     assert f"taken={PICKS}" in text
 
 
-def test_a_plate_with_a_reserved_part_rests_and_a_stop_is_told_at_once(graph, robot):
+def test_a_plate_with_a_reserved_part_rests_and_a_stop_is_reported_at_once(graph, robot):
     observer = graph.observer
     code, text = robot.ask("get_part")
     assert code == 200, text

@@ -227,7 +227,7 @@ def test_a_search_for_home_has_an_end(device):
     assert off[0] - on[0] == pytest.approx(5.0, abs=2e-3)
 
 
-def test_telemetry_tells_the_load(device):
+def test_telemetry_contains_the_load(device):
     done = run(device, "load 0.125", HELLO, 0.02)
     assert {p.message.load for p in done.said if isinstance(p.message, Telemetry)} == {0.125}
 

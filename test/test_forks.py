@@ -59,13 +59,13 @@ def test_a_fork_is_a_program_of_its_own(start, tmp_path, monkeypatch):
         ("#!python\nimport os, signal\nos.kill(os.getpid(), signal.SIGKILL)\n", -9, ""),
     ],
 )
-def test_its_exit_code_and_last_words_are_told(start, text, code, said):
+def test_its_exit_code_and_last_output_are_reported(start, text, code, said):
     fork, log = start(text)
     assert fork.wait(30) == code
     assert said in log.read_text()
 
 
-def test_an_exit_code_is_told_also_where_ends_of_children_were_ignored(request):
+def test_an_exit_code_is_reported_even_if_sigchld_is_ignored(request):
     before = signal.signal(signal.SIGCHLD, signal.SIG_IGN)
     try:
         fork, _ = request.getfixturevalue("start")("#!python\nraise SystemExit(4)\n")

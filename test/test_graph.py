@@ -67,7 +67,7 @@ def declared(name):
     return {item.name: item.default for item in fields(kind)}
 
 
-def test_the_files_of_parameters_say_what_the_nodes_do():
+def test_the_parameter_files_agree_with_the_nodes():
     """Declared defaults; all disturbances; the planner's settings for a camera."""
     named = given("nodes.yaml")
     assert list(named) == NAMES

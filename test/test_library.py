@@ -52,7 +52,7 @@ def test_it_is_installed_with_its_data_and_needs_no_ros(tmp_path):
     assert done.stdout == f"{target}/plate_core/__init__.py {shipped}\n"
 
 
-def test_it_asks_for_what_its_parts_ask_for():
+def test_its_request_is_the_request_of_its_parts():
     """Each package can also be installed alone; together their requirements are those of the
     whole."""
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))

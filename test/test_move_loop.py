@@ -49,7 +49,7 @@ def test_a_part_follows_a_target_that_is_dragged():
     assert max(abs(b - a) for a, b in pairwise(late)) < 0.01  # it does not jump
 
 
-def test_a_target_on_another_part_pushes_it_aside_and_says_so():
+def test_a_target_on_another_part_pushes_it_aside_and_reports_it():
     said, where = set(), {"now": (0.0, 0.0)}
     for moment in dragged(lambda t: where["now"], seed=23):
         if moment.time < 1:

@@ -157,7 +157,7 @@ def test_a_drive_without_a_watchdog_is_named_and_none_is_led(bench):
     assert np.max(np.abs(led(bench)[:, 2])) < FINE
 
 
-def test_the_drives_are_told_the_table_with_its_speed_and_torque(bench):
+def test_the_drives_receive_the_table_with_its_speed_and_torque(bench):
     playing(bench, PLATE)
     live(bench, 500)
     check_bus(bench)
@@ -303,7 +303,7 @@ FAULTS = [  # fault; the report about motor 2, or 0 for the bus; maximum time [m
 
 
 @pytest.mark.parametrize(("trouble", "motor", "kind", "code", "fault", "most_ms"), FAULTS)
-def test_a_fault_takes_the_current_of_all_and_is_told(
+def test_a_fault_switches_all_currents_off_and_is_reported(
     bench, trouble, motor, kind, code, fault, most_ms
 ):
     playing(bench, PLATE, 0.008)
@@ -361,7 +361,7 @@ def test_a_reset_while_it_is_off_loses_home(bench):
     assert abs(drive.position) < FINE  # and stays
 
 
-def test_its_own_words_are_told(bench):
+def test_its_own_messages_are_reported(bench):
     playing(bench, PLATE)
     bench.drives[1].disarm("low voltage")
     live(bench, 100)

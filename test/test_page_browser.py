@@ -142,7 +142,7 @@ def test_the_space_bar_stops_and_twice_too(page):
     enable(page)
 
 
-def test_a_refusal_stands_where_it_was_asked(page):
+def test_a_refusal_is_shown_next_to_its_request(page):
     page.get_by_role("button", name="Disable").click()
     wait_for(page, "known.driver.state === 'disabled'")
     page.get_by_role("tab", name="Task").click()
@@ -153,7 +153,7 @@ def test_a_refusal_stands_where_it_was_asked(page):
     enable(page)
 
 
-def test_a_node_that_says_nothing_is_named(page, graph):
+def test_a_node_without_messages_is_named(page, graph):
     graph.processes.signal("driver", signal.SIGSTOP)
     try:
         page.locator("#alarm").filter(has_text="No message from driver").wait_for()

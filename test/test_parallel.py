@@ -34,7 +34,7 @@ def test_results_come_with_their_index_as_they_are_done():
     assert notes[-1].endswith("about 0 s left")
 
 
-def test_a_refused_run_is_told_and_ends_the_work():
+def test_a_refused_run_is_reported_and_ends_the_work():
     with ThreadPoolExecutor(1) as workers:
         results = parallel(workers, late, [(0.0, 1)])
         assert list(results) == [(0, 1)]

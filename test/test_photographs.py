@@ -121,7 +121,7 @@ def test_a_file_with_another_checksum_is_not_kept(folder, monkeypatch):
     assert fetch.is_there(right)
 
 
-def test_without_a_network_it_is_said_what_is_missing_and_the_rest_goes_on(
+def test_without_a_network_missing_files_are_reported_and_the_rest_continues(
     folder, monkeypatch, capsys
 ):
     def no_network(photograph):

@@ -109,7 +109,7 @@ def test_angles_are_drawn_as_they_are_and_as_wanted():
     assert [pose[2] for pose in run.poses] == [np.radians(90)]
 
 
-def test_arrows_are_as_long_as_the_key_says(dropped):
+def test_arrows_have_the_length_of_the_legend(dropped):
     forces = dropped.forces(0.2, np.zeros((1, 2)))
     assert abs(forces[0, 1]) < 0.02 < abs(forces[0, 0])  # the plate swings along x
     canvas = STRIP.canvas(dropped)

@@ -70,7 +70,7 @@ def test_a_robot_waits_outside_the_view_for_its_answer():
     assert before.after_reply(PLACE, 2.5).waited(9.0) == pytest.approx(0.8)
 
 
-def test_a_robot_that_is_refused_asks_again_later():
+def test_a_robot_that_is_refused_requests_again_later():
     robot, _ = Robot(2.0, 0.0, Act.REQUEST).step(1.2)
     assert robot.due == math.inf
     robot = robot.after_reply(None, 1.5)
@@ -107,7 +107,7 @@ def short():
     return produce(Setup(BASE.recipe, 3, effort=FEW), 2.0, 12.0)
 
 
-def test_a_short_production_picks_parts_where_they_are_said_to_be(short):
+def test_a_short_production_picks_parts_at_the_reported_places(short):
     assert short.picks >= 4
     assert short.failed == short.lost == short.discharged == 0
     assert short.error_mm[2] < 0.5
@@ -250,6 +250,6 @@ def test_qualify_prints_a_table_and_writes_a_page(monkeypatch, capsys, tmp_path)
         (["--recipe", "feed_bars", "--rig", "desk"], "class is 'bar', allowed with this rig"),
     ],
 )
-def test_qualify_says_what_is_wrong(monkeypatch, capsys, words, problem):
+def test_qualify_reports_errors(monkeypatch, capsys, words, problem):
     assert qualified(monkeypatch, *words) == 2
     assert problem in capsys.readouterr().err

@@ -241,7 +241,7 @@ def known_at(sections, place, heads):
 
 
 @pytest.mark.parametrize("kind", TASKS)
-def test_what_is_asked_of_a_scenario_file_is_what_the_reference_says(tmp_path, asked, kind):
+def test_requirements_on_a_scenario_file_agree_with_the_reference(tmp_path, asked, kind):
     sections = {section.where: section for section in tasks.SECTIONS}
     path = tmp_path / "file.yaml"
     path.write_text(yaml.safe_dump(scenario(kind)))
@@ -257,7 +257,7 @@ def test_what_is_asked_of_a_scenario_file_is_what_the_reference_says(tmp_path, a
         assert names == known, place
 
 
-def test_what_is_asked_of_a_rig_file_is_what_the_reference_says(tmp_path, asked):
+def test_requirements_on_a_rig_file_agree_with_the_reference(tmp_path, asked):
     sections = {re.split(r"[ ,]", section.where)[0]: section for section in rig.SECTIONS}
     path = tmp_path / "file.yaml"
     servo = {"stiffness_npm": 100, "damping_nspm": 1}
@@ -272,5 +272,5 @@ def test_what_is_asked_of_a_rig_file_is_what_the_reference_says(tmp_path, asked)
             assert names == known_at(sections, place, [place.partition(":")[0]]), place
 
 
-def test_the_page_is_what_the_code_says():
+def test_the_page_agrees_with_the_code():
     assert PAGE.read_text("utf-8") == page(), "run: python tools/reference.py"

@@ -38,7 +38,7 @@ from plate_driver.transports import (
 )  # fmt: skip
 
 
-def test_tables_arrive_and_are_played_as_often_as_asked(firmware):
+def test_tables_arrive_and_are_played_as_often_as_requested(firmware):
     transport = enabled(firmware)
     first, second = shaking(0.0005), shaking(0.0008, turns=3)
     transport.send(first, 20)
@@ -360,7 +360,7 @@ def test_while_the_board_reports_a_fault_an_enable_is_refused(firmware):
     assert not firmware.current
 
 
-def test_a_stop_nobody_answers_is_not_told_as_done_and_comes_through_later(firmware):
+def test_an_unacknowledged_stop_is_not_reported_as_done_and_arrives_later(firmware):
     transport = enabled(firmware)
     play(firmware, transport, 1.0)
     firmware.loss = 1.0
@@ -401,7 +401,7 @@ def test_close_stops_the_plate(firmware):
     assert State.BRAKING in firmware.states[since : since + 10]
 
 
-def test_a_jam_is_told(firmware):
+def test_a_jam_is_reported(firmware):
     transport = enabled(firmware)
     transport.send(shaking(0.008), 50)
     pass_time(firmware, transport, 0.5)
@@ -438,7 +438,7 @@ def test_a_device_whose_clock_is_fast_is_stopped(firmware):
     assert play(firmware, transport, 0.5)
 
 
-def test_a_slow_clock_is_told_and_stops_nothing(firmware):
+def test_a_slow_clock_is_reported_and_stops_nothing(firmware):
     """The plate is slow too, and so keeps all limits."""
     transport = enabled(firmware)
     play(firmware, transport, 0.5)
@@ -449,7 +449,7 @@ def test_a_slow_clock_is_told_and_stops_nothing(firmware):
     assert firmware.current
 
 
-def test_a_clock_that_is_set_once_is_told_and_stops_nothing(firmware):
+def test_a_clock_that_is_set_once_is_reported_and_stops_nothing(firmware):
     transport = enabled(firmware)
     play(firmware, transport, 0.5)
     firmware.order("late 40000")
@@ -496,7 +496,7 @@ def test_long_tables_are_refused(firmware):
         transport.send(prepare(RIG, cycle, 1)[0], 1)
 
 
-def test_an_enable_says_that_the_device_speaks_another_version(firmware, monkeypatch):
+def test_an_enable_reports_another_protocol_version(firmware, monkeypatch):
     monkeypatch.setattr("plate_driver.transports.link.VERSION", 9)
     transport = link(firmware)
     pass_time(firmware, transport, 0.5)

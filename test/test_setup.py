@@ -17,7 +17,7 @@ PREFIX = "Programming Language :: Python :: "
 PYTHONS = [name.removeprefix(PREFIX) for name in PROJECT["classifiers"] if PREFIX in name]
 
 
-def test_a_set_up_that_waits_for_another_one_says_so(tmp_path):
+def test_a_set_up_reports_that_it_waits_for_another_one(tmp_path):
     script = tmp_path / "tools" / "setup.sh"
     script.parent.mkdir()
     script.write_text((ROOT / "tools" / "setup.sh").read_text())
@@ -35,7 +35,7 @@ def test_a_set_up_that_waits_for_another_one_says_so(tmp_path):
     assert "ROS 'foxy' is sourced" in errors
 
 
-def test_it_tells_how_far_a_step_is(tmp_path):
+def test_it_reports_the_progress_of_a_step(tmp_path):
     script = (ROOT / "tools" / "setup.sh").read_text()
     functions = script[script.index("say() {") : script.index("fail() {")]
     (tmp_path / "log").write_text("[1/3] one\n[2/3] two\n-- no count\n")
@@ -52,7 +52,7 @@ def test_it_tells_how_far_a_step_is(tmp_path):
     assert (process.returncode, errors) == (0, "")
 
 
-def test_on_another_processor_it_says_at_once_to_install_ros(tmp_path):
+def test_on_another_processor_it_advises_at_once_to_install_ros(tmp_path):
     script = (ROOT / "tools" / "setup.sh").read_text()
     functions = script[script.index("say() {") : script.index("trap ")]
     functions += script[script.index("choose_ros() {") : script.index("# A name on the PATH")]

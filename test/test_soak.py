@@ -32,7 +32,7 @@ def test_a_slope_has_the_interval_that_its_name_promises():
     assert np.isnan(slope(at[:2], at[:2])[0])
 
 
-def test_growth_and_missed_cycles_are_told():
+def test_growth_and_missed_cycles_are_reported():
     series = Series([task(k, growth=12.0) for k in range(20)], dict.fromkeys(NODES, 0.05))
     result = summed_up(series)
     assert result["memory"][3]["mb_per_hour"] == pytest.approx(12.0)

@@ -168,7 +168,7 @@ def test_a_table_is_played_on_the_drives(bench):
     assert bench.off()
 
 
-def test_a_drives_own_words_are_told(bench):
+def test_a_drives_own_messages_are_reported(bench):
     bench.ready()
     bench.drives[1].fail(0x8611, 0x20)
     bench.run(30)
@@ -252,7 +252,7 @@ def test_what_cannot_be_led_is_refused():
             make(context(wrong, port))
 
 
-def test_without_a_compiler_it_says_so(monkeypatch, tmp_path):
+def test_a_missing_compiler_is_reported(monkeypatch, tmp_path):
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(PlateError, match="the firmware cannot be compiled: cc: No such file"):
         build("", "odrive", tmp_path / "out", "boards/linux/board.c")
@@ -294,7 +294,7 @@ def test_a_drive_that_keeps_its_current_is_reset_before_the_process_ends(bench):
     assert (0, bytes([0x81, 2])) in [(identifier, data) for _, identifier, data in bench.sent]
 
 
-def test_an_interface_that_is_down_says_so(monkeypatch):
+def test_an_interface_that_is_down_is_reported(monkeypatch):
     class Down:
         """As a raw socket that is bound to it."""
 
@@ -312,7 +312,7 @@ def test_an_interface_that_is_down_says_so(monkeypatch):
         open_can("can0")
 
 
-def test_a_program_that_may_not_be_run_is_said(program, tmp_path):
+def test_a_program_without_permission_is_reported(program, tmp_path):
     copy = tmp_path / "plate"
     copy.write_bytes(program.read_bytes())
     near, far = socket.socketpair()
@@ -320,7 +320,7 @@ def test_a_program_that_may_not_be_run_is_said(program, tmp_path):
         HostPort(copy, "nowhere", lambda _: far)
 
 
-def test_without_room_for_the_program_it_says_so(monkeypatch, tmp_path):
+def test_missing_space_for_the_program_is_reported(monkeypatch, tmp_path):
     rig = load_rig("odrives")
     rig = replace(rig, limits=replace(rig.limits, speed=0.123))  # one that was not built yet
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "none"))
@@ -375,7 +375,7 @@ def test_what_is_late_is_off_by_the_way_made_meanwhile():
         assert rms == pytest.approx(RIG.limits.speed / np.sqrt(2) * late_s / np.sqrt(3), rel=0.12)
 
 
-def test_a_process_that_says_nothing_is_no_measurement(monkeypatch, capsys):
+def test_a_process_without_output_is_no_measurement(monkeypatch, capsys):
     monkeypatch.setattr("plate_drives.lateness.program_of", lambda _: "/bin/false")
     monkeypatch.setattr(sys, "argv", ["lateness", "linear_motors", "--seconds", "0.3"])
     with pytest.raises(SystemExit) as end:
@@ -394,7 +394,7 @@ def test_a_process_that_has_ended_is_no_broken_pipe():
         port.close()
 
 
-def test_how_late_it_is_can_be_asked(program, monkeypatch, capsys):
+def test_its_delay_can_be_queried(program, monkeypatch, capsys):
     monkeypatch.setattr("plate_drives.lateness.program_of", lambda _: program)
     monkeypatch.setattr(sys, "argv", ["lateness", "linear_motors", "--seconds", "0.2"])
     with pytest.raises(SystemExit) as end:

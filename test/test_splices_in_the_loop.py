@@ -175,7 +175,7 @@ def test_reports_that_come_again_change_nothing():
         assert np.array_equal(one.knot_pose, other.knot_pose)
 
 
-def test_a_player_that_does_not_report_is_asked_to_move_from_rest_to_rest():
+def test_a_player_without_reports_gets_cycles_from_rest_to_rest():
     line = Line(seed=2)
     assert line.run(Faults(unreported=1.0)).phase == "done"
     assert all(cycle.starts_at_rest and cycle.tail is None for cycle in line.played)

@@ -61,7 +61,7 @@ def test_dry_friction_of_den_hartog():
     assert stick.min_gamma(0.0) == pytest.approx(np.sqrt(1 + np.pi**2 / 4))
 
 
-def test_the_overtone_gives_the_force_that_is_asked():
+def test_the_overtone_gives_the_requested_force():
     t = (np.arange(200_000) + 0.5) * 2 * np.pi / 200_000
     for force in (0.05, 0.2, 0.33):
         u = np.sin(t) + stick.overtone(force) * np.cos(2 * t)

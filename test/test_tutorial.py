@@ -75,7 +75,7 @@ def printed_by(process):
             process.communicate()
 
 
-def test_every_command_shows_what_the_page_says(tmp_path, domain):
+def test_every_command_shows_the_output_of_the_page(tmp_path, domain):
     pytest.importorskip("rclpy")
     page = PAGE.read_text(encoding="utf-8").replace("my/", f"{tmp_path}/my/")
     page = re.sub(r"(DOMAIN_ID=|--domain )42", rf"\g<1>{domain}", page)

@@ -46,7 +46,7 @@ def test_parts_are_sorted_within_force_and_heat(method, effort):
 
 
 @pytest.mark.parametrize("solver", [RotationSolver, SinusoidSolver])
-def test_frequencies_that_are_told_are_those_of_the_cycles(solver):
+def test_reported_frequencies_are_those_of_the_cycles(solver):
     """The values of check_rig for stroke and speed apply to waves that the solvers produce."""
     made, kinds = solver(load_rig()), (False, True)
     periods = [made.steering_period(n, lasting=kind) for n in range(1, 8) for kind in kinds]

@@ -131,7 +131,7 @@ def _command(monkeypatch, capsys):
     return command
 
 
-def test_command_says_likely(command):
+def test_command_reports_likely_success(command):
     code, out, _ = command("--scenario", "sort_4", "--rig", "desk")
     assert code == 0
     assert "desk.yaml: shaking ratio Gamma = 24.5, limited by accel_mps2" in out
@@ -147,7 +147,7 @@ def test_command_takes_the_rig_of_the_scenario():
     assert "align_6: unknown: feasible cannot rehearse tasks of kind pose" in done.stdout
 
 
-def test_command_says_no_and_what_would_do(command, tmp_path, monkeypatch):
+def test_command_reports_failure_and_a_remedy(command, tmp_path, monkeypatch):
     monkeypatch.setattr("plate_bringup.rehearsal.MAX_CYCLES", 20)  # in the first it is clear
     text = config_path("rig.yaml").read_text(encoding="utf-8")
     assert "accel_mps2: 100.0" in text
@@ -161,13 +161,13 @@ def test_command_says_no_and_what_would_do(command, tmp_path, monkeypatch):
     )
 
 
-def test_command_says_that_it_does_not_fit(command):
+def test_command_reports_that_the_task_does_not_fit(command):
     code, out, _ = command("--scenario", "follow_2", "--rig", "desk")
     assert code == 1
     assert "follow_2: impossible: follow_2.yaml: parts: positions_m of black is (-0.22, -0" in out
 
 
-def test_command_tells_how_fast_parts_are(command):
+def test_command_reports_the_speed_of_parts(command):
     code, out, _ = command("--rig", "desk")
     assert code == 0
     speeds = [float(line.split()[2]) for line in out.splitlines() if line.startswith("  ")]
@@ -201,7 +201,7 @@ def test_places_as_near_as_a_scenario_may_have_them():
     assert rehearse_task(RIG, replace(scenario, parts=parts, task=task), 1).likely
 
 
-def test_command_says_the_time_that_would_do(command, tmp_path):
+def test_command_reports_a_sufficient_time_limit(command, tmp_path):
     text = config_path("scenarios/sort_4.yaml").read_text(encoding="utf-8")
     path = tmp_path / "soon.yaml"
     path.write_text(re.sub("time_limit_s: .*", "time_limit_s: 1.5", text), encoding="utf-8")

@@ -163,7 +163,7 @@ def test_arguments_become_parameters_topics_and_a_recorder(stand_in, tmp_path):
         started("hardware", params_file="none.yaml")
 
 
-def test_a_camera_by_name_is_started_and_what_is_not_measured_is_said(stand_in):
+def test_a_camera_by_name_is_started_and_unmeasured_values_are_reported(stand_in):
     nodes, _ = started("hardware", camera="/dev/video0", image_topic="/eye")
     assert list(nodes) == ["camera", *NAMES[1:]]
     assert nodes["camera"].parameters[-1] == {"device": "/dev/video0"}

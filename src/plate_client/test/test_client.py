@@ -15,7 +15,7 @@ from plate_interfaces.action import SortParts
 from plate_interfaces.msg import TaskProgress
 
 
-def test_targets_that_nobody_hears_are_said(monkeypatch):
+def test_targets_without_subscribers_are_reported(monkeypatch):
     monkeypatch.setattr(client, "DISCOVERY_S", 0.1)
     why = "no node in this ROS domain subscribes to targets; start the planner"
     with (
@@ -37,7 +37,7 @@ def _silent(monkeypatch):
         yield plate, task
 
 
-def test_a_planner_that_says_nothing_of_a_task_is_not_waited_for(silent):
+def test_a_planner_without_feedback_is_not_waited_for(silent):
     plate, task = silent
     task.send()
     said = []

@@ -173,7 +173,7 @@ def test_state_while_nodes_start(graph, starting):
     ]
 
 
-def test_what_a_goal_waits_for_is_told(graph, clock, capsys):
+def test_the_cause_of_a_waiting_goal_is_reported(graph, clock, capsys):
     class Plate:
         def start(self, scenario, waiting):
             for why in ("soon", "no parts yet", "again"):
@@ -230,9 +230,7 @@ def test_what_is_urgent_waits_for_a_node_that_is_not_seen_yet(view, monkeypatch,
 
 
 @pytest.mark.parametrize(("command", "calls"), [("emergency_stop", 2), ("home", 1)])
-def test_a_lost_answer_is_asked_for_again_where_that_does_no_harm(
-    graph, monkeypatch, command, calls
-):
+def test_a_lost_reply_is_requested_again_if_that_is_harmless(graph, monkeypatch, command, calls):
     sent, call = [], Client.call_async
 
     def lossy(self, request):
@@ -330,7 +328,7 @@ def test_a_reader_that_has_enough_is_no_error(program):
     assert (returned, errors) == (128 + signal.SIGPIPE, "")
 
 
-def test_interrupted_while_it_imports_it_says_so_in_a_line():
+def test_an_interrupt_during_imports_is_reported_in_one_line():
     program = """
 import os, signal, sys
 from plate_client.command import main
@@ -347,7 +345,7 @@ main()
     assert (done.returncode, done.stderr) == (130, "plate: interrupted\n")
 
 
-def test_a_mistyped_command_is_told_the_nearest(monkeypatch, capsys):
+def test_a_mistyped_command_gets_a_suggestion(monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["plate", "enabel"])
     with pytest.raises(SystemExit) as end:
         main()

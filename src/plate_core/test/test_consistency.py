@@ -187,7 +187,7 @@ def _check_rig(monkeypatch, capsys):
 NO_LENS = replace(RIG, camera=replace(RIG.camera, lens=None))
 
 
-def test_parallax_is_told_while_heights_are_unknown():
+def test_parallax_is_reported_while_heights_are_unknown():
     """By similar triangles, from the camera's place that the pose gives."""
     rotation, translation = camera_pose(RIG)
     x, y, high = -rotation.T @ translation
@@ -208,7 +208,7 @@ def test_parallax_is_told_while_heights_are_unknown():
     assert "unknown) for nut. " in report(replace(shapes, types=known), "a.yaml", [])
 
 
-def test_an_unknown_place_is_told():
+def test_an_unknown_camera_place_is_reported():
     said = report(NO_LENS, "a.yaml", [])
     assert says(said, "position is unknown", "focal_px", "height_m", "too far from")
     high = replace(NO_LENS, camera=replace(NO_LENS.camera, height_m=0.9))
@@ -245,7 +245,7 @@ def test_names_of_motors_are_beside_their_arrows():
             assert not np.any(box.count_contains(axes.transData.transform(ends)))
 
 
-def test_command_tells_and_draws(check_rig, tmp_path):
+def test_command_reports_and_draws(check_rig, tmp_path):
     drawing = tmp_path / "new" / "desk.svg"
     code, out, err = check_rig("desk", "--drawing", drawing)
     assert (code, err) == (0, "")
@@ -269,7 +269,7 @@ def test_command_whose_output_nobody_reads(tmp_path):
         assert done.stdout.strip() in ("0", "141")
 
 
-def test_command_says_what_lasts_once(check_rig, spoilt, tmp_path):
+def test_command_reports_a_persistent_warning_once(check_rig, spoilt, tmp_path):
     path = spoilt(("limits", "continuous_force_n"), 12.0)
     code, out, _ = check_rig(path, "--drawing", tmp_path / "a.svg")
     assert code == 0
@@ -285,7 +285,7 @@ def test_command_warns(check_rig, spoilt, tmp_path):
     assert says(out, "\nwarning: ", "stroke_m is 0.6", "5 Hz")
 
 
-def test_command_tells_all_that_is_wrong(check_rig, spoilt, tmp_path):
+def test_command_reports_all_errors(check_rig, spoilt, tmp_path):
     path = spoilt(("motors", "motor_1", "point_m"), [-3.0, 0.1])
     text = path.read_text(encoding="utf-8").replace("radius_m: 0.008", "radius_m: 0.0025")
     path.write_text(text, encoding="utf-8")
@@ -331,7 +331,7 @@ def mixed():
     return replace(rig, motors=(*rig.motors[:3], other.motors[3]))
 
 
-def test_what_a_millimetre_is_to_a_drive_is_told():
+def test_a_millimetre_in_units_of_the_drive_is_reported():
     said = report(load_rig("linear_motors"), "a.yaml", [])
     assert "motor_2: cia402, node 2: 1 mm along its direction is -1000 counts" in said
     said = report(load_rig("odrives"), "a.yaml", [])

@@ -67,7 +67,7 @@ def test_what_is_logged_arrives_in_order_and_to_the_end(tmp_path):
     assert [word for word in said.split() if word.isdigit()] == [str(n) for n in range(20)]
 
 
-def test_a_crash_says_where_it_was(tmp_path):
+def test_a_crash_reports_its_location(tmp_path):
     with talker(1, tmp_path / "said") as node:
         assert appears(tmp_path / "said")
         node.send_signal(signal.SIGABRT)

@@ -92,7 +92,7 @@ def test_parts_there_and_back():
     assert back.forces_or_targets is back.forces
 
 
-def test_how_well_parts_were_seen_is_told():
+def test_measurement_errors_of_parts_are_converted():
     parts = Parts.make(("black_1", "black_2"), np.zeros((2, 2)))
     quality = np.array([[1e-5, 0.02, 0.9], [np.nan, 0.02, np.nan]])
     known, unknown = over_the_wire(convert.parts_to_msg(parts, STAMP, quality=quality)).parts
@@ -312,7 +312,7 @@ def test_wrong_parts(change, message):
         convert.msg_to_request(msg)
 
 
-def test_camera_info_tells_where_points_are_seen():
+def test_camera_info_projects_points_to_their_pixels():
     """Judged by OpenCV, from nothing but the message and the plate's corners in the image."""
     lens = Lens((900.0, 910.0), (315.0, 244.0), (-0.3, 0.1, 1e-3, -1e-3, 0.02))
     rotation, place = cv2.Rodrigues(np.array([3.09, 0.02, 0.01]))[0], np.array([0.01, 0.0, 0.92])

@@ -62,7 +62,7 @@ def test_diagnostics_are_read_also_those_of_others():
     ]
 
 
-def test_that_the_level_has_become_worse_is_told_at_once_and_only_once(talker):
+def test_a_worse_level_is_reported_at_once_and_only_once(talker):
     node, heard, executor = talker
     level = [Level.OK]
     reports = []

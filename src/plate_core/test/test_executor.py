@@ -13,7 +13,7 @@ from plate_core.ros import CAMERA, DATA, NodeExecutor  # noqa: E402
 from plate_core.ros.executor import EVENTS_S  # noqa: E402
 
 
-def test_a_partner_that_does_not_fit_is_told_of_within_a_second_and_messages_come_at_once(
+def test_an_incompatible_partner_is_reported_within_a_second_and_messages_arrive_at_once(
     monkeypatch,
 ):
     now, told, heard = [100.0], [], []

@@ -60,7 +60,7 @@ def test_odd_files_are_refused_by_path_kind_and_what_is_allowed(tmp_path, kind):
         assert str(caught.value) == f"{path}: {is_what}, {ALLOWED}"
 
 
-def test_what_tells_no_size_is_read_up_to_the_most(tmp_path):
+def test_files_of_unknown_size_are_read_up_to_the_maximum(tmp_path):
     path = Path("/proc/self/status")
     assert path.stat().st_size == 0
     assert read_file(path, MOST).startswith(b"Name:")

@@ -197,7 +197,7 @@ def test_a_tilted_mirror_image_is_no_lens():
 
 
 @pytest.mark.parametrize("lens", LENSES)
-def test_corners_tell_all(lens):
+def test_corners_determine_homography_and_pose(lens):
     """Homography, image points and pose from the bent corners, against OpenCV's projection."""
     rig = rig_with(lens)
     points = np.random.default_rng(1).uniform(-1, 1, (100, 2)) * rig.plate.half

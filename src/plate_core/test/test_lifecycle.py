@@ -225,7 +225,7 @@ def test_what_does_not_fit_the_state_is_refused(peer):
 
 
 @pytest.mark.parametrize("refusal", [PlateError("size is 3, allowed: 4"), ValueError("a defect")])
-def test_a_failed_configure_leaves_nothing_says_why_and_can_be_repeated(peer, refusal):
+def test_a_failed_configure_cleans_up_reports_why_and_can_be_repeated(peer, refusal):
     empty = entities(peer.echo)
     for _ in (1, 2):
         peer.echo.refuse = refusal
@@ -335,7 +335,7 @@ def test_the_clock_changes_while_the_node_is_not_active(peer):
         assert peer.change("deactivate")
 
 
-def test_nodes_are_started_in_order_and_one_that_refuses_says_why(peer):
+def test_nodes_are_started_in_order_and_a_refusal_has_a_reason(peer):
     peer.echo.refuse = PlateError("size is 3, allowed: 4")
     with pytest.raises(PlateError, match="size is 3, allowed: 4"):
         start_nodes(peer.echo)

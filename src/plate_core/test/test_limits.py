@@ -164,7 +164,7 @@ def test_flexures_are_stretched_by_the_motors():
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_what_is_enough_tells_the_same_of_a_limit(seed):
+def test_an_early_result_agrees_on_a_limit(seed):
     cycle = uneven_cycle(seed)
     q = motor_state(RIG, cycle.knot_pose, cycle.knot_twist, cycle.knot_accel)
     pieces, steps = quintic_pieces(cycle.times, *q), np.diff(cycle.times)

@@ -12,7 +12,7 @@ def test_a_shipped_rig_is_not_measured():
     assert "plate friction" in unmeasured(load_rig("desk"))[-1]
 
 
-def test_nothing_is_said_of_what_is_measured():
+def test_measured_values_are_not_reported():
     rig = load_rig()
     corners = tuple((x + 1, y) for x, y in rig.camera.corners_px)
     rig = replace(rig, camera=replace(rig.camera, corners_px=corners))

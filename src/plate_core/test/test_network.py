@@ -26,7 +26,7 @@ ENV_SH = "/elsewhere/config/fastdds.xml"
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("before", [{}, {"FASTRTPS_DEFAULT_PROFILES_FILE": ENV_SH}])
-def test_only_what_is_asked_for_opens_the_network(given, profile, told, before):
+def test_only_a_request_opens_the_network(given, profile, told, before):
     environ = given | before
     assert choose_network(environ).startswith(told)
     assert bool(choose_network(environ)) == bool(told)

@@ -50,7 +50,7 @@ def test_values_of_the_command_line(make_node):
     assert declare(node, Options) == Options(2.0, 9, "exact", "some", False)
 
 
-def test_descriptions_are_told(make_node):
+def test_descriptions_are_declared(make_node):
     node = make_node()
     declare(node, Options)
     assert node.describe_parameter("gain").description == "Gain [1/s]."

@@ -135,7 +135,7 @@ def test_corners_on_a_straight_edge_do_not_hide_a_symmetry(tmp_path):
     assert load_part_types(write(tmp_path, f"bar: {{outline_m: {bar}}}"))["bar"].symmetry == 2
 
 
-def test_a_rig_tells_what_a_type_leaves_out(tmp_path):
+def test_a_rig_supplies_values_that_a_type_omits(tmp_path):
     rig = load_rig("shapes")
     assert pickle.loads(pickle.dumps(rig)).part_type("nut") == rig.part_type("nut")  # for workers
     assert rig.part_type("nut").mu == rig.friction.mu

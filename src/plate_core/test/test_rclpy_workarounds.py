@@ -54,7 +54,7 @@ def test_takes_messages_in_order_and_the_beginning_of_long_ones(node):
     assert sources == {source}
 
 
-def test_tells_publishers_of_nodes_with_one_name_apart(node):
+def test_publishers_of_nodes_with_one_name_are_distinguished(node):
     subscription = UnlockedSubscription(node, String, "words", DATA, 100)
     publishers = [node.create_publisher(String, "words", DATA) for _ in range(2)]
     sources = {}

@@ -223,7 +223,7 @@ def test_random_and_mutated_frames():
     assert reader.refused > 2_500
 
 
-def test_random_packets_with_a_right_crc_are_said_or_refused():
+def test_random_packets_with_a_right_crc_are_decoded_or_refused():
     rng = np.random.default_rng(2)
     said = 0
     for _ in range(5_000):
@@ -305,5 +305,5 @@ def test_sequence_numbers_wrap(sequence, step):
         ((Trouble.EMERGENCY, 0, 0x9000), "emergency 9000h, error register 00h"),
     ],
 )  # fmt: skip
-def test_what_a_drive_says_is_explained(trouble, words):
+def test_messages_of_a_drive_are_explained(trouble, words):
     assert DriveTrouble(4, *trouble).text == f"motor_4: {words}"

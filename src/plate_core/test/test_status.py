@@ -17,7 +17,7 @@ def test_levels_are_those_of_ros():
         assert bytes([level]) == getattr(messages.DiagnosticStatus, level.name)
 
 
-def test_of_several_findings_the_worst_counts_and_all_are_told():
+def test_the_worst_of_several_findings_counts_and_all_are_reported():
     late, old = Finding(Level.WARN, "late"), Finding(Level.STALE, "no image")
     failed = Finding(Level.ERROR, "failed")
     assert worst([None, None], "all well") == Finding(Level.OK, "all well")

@@ -89,7 +89,7 @@ def test_unknown_keys_are_refused():
         f.finish()
 
 
-def test_the_nearest_known_key_is_asked_for():
+def test_the_nearest_known_key_is_suggested():
     f = fields(a=1, hold=2)
     assert f.number("a", 0, 1) + f.number("hold_s", 0, 1, default=0) == 1
     with pytest.raises(FileError, match=r"key hold \(did you mean hold_s\?\), allowed: a, "):
@@ -120,7 +120,7 @@ def test_what_yaml_takes_for_something_else_is_refused(tmp_path, text, message):
         read_yaml(path, FileError)
 
 
-def test_a_key_tells_its_unit_by_its_name():
+def test_a_key_has_its_unit_in_its_name():
     names = {"a_m": "m", "b_mps2": "m/s^2", "c_deg": "degrees", "mu": "-", "goal_fraction": "-"}
     assert {name: Key(name, Number(0, 1), "").unit for name in names} == names
     assert Key("side_m", Text(), "").unit == ""

@@ -37,7 +37,7 @@ def plays(ticks=lambda true, time: true, lost=0.0):
 
 
 @pytest.mark.parametrize("lost", [0.0, 0.5, 0.9])
-def test_every_start_of_a_true_device_is_told_once(lost):
+def test_every_start_of_a_true_device_is_reported_once(lost):
     begins, problems = told(plays(lost=lost))
     assert problems == []
     moving = begins[begins > 0.99]
@@ -62,7 +62,7 @@ def test_every_start_of_a_true_device_is_told_once(lost):
     ],
     ids=["frozen", "zero", "backwards", "seconds", "twice", "random"],
 )
-def test_no_start_is_told_where_ticks_cannot_be(lie):
+def test_no_start_is_reported_for_impossible_ticks(lie):
     begins, problems = told(plays(lie))
     assert len(problems) > 100
     wrong = [began for began in begins if began > 1.01 and abs((began - 1) % PERIOD) > 0.01]
@@ -90,7 +90,7 @@ def test_ticks_that_run_fast_or_slow_are_found(rate, lost):
         assert len(problems) > 5
 
 
-def test_a_jump_is_not_told_and_truth_is_again_after_it():
+def test_a_jump_is_not_reported_and_later_starts_are():
     def late(true, time):
         return true + 0.05 * (1.65 < time < 1.73)
 

@@ -162,7 +162,7 @@ def test_the_clock_is_right_to_half_the_round_trip():
     assert clock.received(Pulse(9_000_000_000, 0), 8.5) == clock
 
 
-def test_a_clock_that_no_pulse_tells_is_not_believed():
+def test_a_clock_without_pulses_is_rejected():
     clock = DeviceClock().stamped(5_000_000, 1.0)
     assert not clock.known
     clock = clock.received(Pulse(1_000_000_000, 5_001_000), 1.002)

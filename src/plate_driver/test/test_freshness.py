@@ -79,7 +79,7 @@ def test_what_came_before_a_standstill_moves_nothing():
     assert stood.remaining_s(at(5.6), at(5.7), PERIOD) > 0
 
 
-def test_what_a_task_asked_for_moves_nothing_after_its_end():
+def test_requests_of_a_task_move_nothing_after_its_end():
     fresh = ready().with_state(0, 0.1, at(0.1)).ended(at(7.0))
     for stamp in (6.8, 7.0):
         with pytest.raises(CycleError, match="a task that has ended"):
@@ -88,7 +88,7 @@ def test_what_a_task_asked_for_moves_nothing_after_its_end():
 
 
 @pytest.mark.parametrize("stamp_ns", [0, at(6.5), at(7.0)])
-def test_what_is_said_later_of_older_images_does_not_bring_back_what_has_ended(stamp_ns):
+def test_late_messages_about_older_images_do_not_restore_an_ended_task(stamp_ns):
     """A restarted planner has not requested anything yet."""
     fresh = ready().with_state(0, 0.1, at(0.1)).ended(at(7.0)).ended(stamp_ns)
     with pytest.raises(CycleError, match="a task that has ended"):
@@ -137,7 +137,7 @@ def test_a_step_of_the_clock_moves_the_time_of_the_last_enable():
             fresh.remaining_s(at(9.99 + by), at(10.05 + by), PERIOD)
 
 
-def test_a_simulator_that_begins_anew_is_heard():
+def test_a_restarted_simulator_is_accepted():
     fresh = ready(50.0).ended(at(70.0))
     assert fresh.remaining_s(at(0.0), at(0.0), PERIOD) > 0
 

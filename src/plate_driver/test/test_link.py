@@ -236,7 +236,7 @@ def test_on_a_line_that_loses_much_all_is_sent_more_often():
     ("status", "refusal"),
     [(Status.LIMIT, "device refuses Begin: limit"), (Status.OLD, "device refuses Begin: old")],
 )
-def test_refused_tables_are_dropped_and_told(status, refusal):
+def test_refused_tables_are_dropped_and_reported(status, refusal):
     link, first = met().uploading(3, KNOTS, 5).due(0.01)
     link = done(link, first, 0.02, status)
     assert link.refusal == refusal
@@ -258,7 +258,7 @@ def test_a_device_that_is_not_ready_gets_no_table_and_no_enable(state):
     assert said(link.due(0.02)[1]) == []
 
 
-def test_an_enable_is_asked_for_once_and_forgotten_by_a_stop():
+def test_an_enable_is_requested_once_and_discarded_by_a_stop():
     link, packets = met(State.OFF).enabling(77).due(0.01)
     assert said(packets) == [Enable(77)]
     answered = done(link, packets, 0.02, Status.WRONG_STOP)
@@ -293,7 +293,7 @@ def test_the_trigger_follows_the_greeting_and_no_stop_forgets_it():
     assert link.refusal == ""
 
 
-def test_a_stop_asked_for_twice_is_one_and_the_stronger_one_stays():
+def test_two_stop_requests_are_one_and_the_stronger_one_stays():
     link, first = met(State.PLAYING).stopping().due(0.01)
     link, again = link.stopping().due(0.011)
     assert said_packets(again)[0] == said_packets(first)[0]  # at once, and no new stop

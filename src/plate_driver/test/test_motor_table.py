@@ -35,7 +35,7 @@ def test_rest():
 
 
 @pytest.mark.parametrize("size", [1e-4, 0.01, 100.0])
-def test_table_does_what_the_cycle_says(size):
+def test_table_reproduces_the_cycle(size):
     table, fit = prepare(RIG, foreign(size), 1)
     assert table.cycle is fit.cycle
     pose, twist, accel = plate_state(RIG, table.q, table.qd, table.qdd)

@@ -211,7 +211,7 @@ class Player:
         return {}
 
 
-def test_starts_of_cycles_and_of_tails_are_told(make, monkeypatch):
+def test_starts_of_cycles_and_of_tails_are_reported(make, monkeypatch):
     monkeypatch.setattr(
         "plate_driver.node.make_transport", lambda _, context: Player(context.clock)
     )
@@ -249,7 +249,7 @@ class Refusing(Player):
         return ["device refuses Commit: limit"]
 
 
-def test_motors_that_take_no_table_are_told_within_two_seconds(make, monkeypatch):
+def test_motors_that_take_no_table_are_reported_within_two_seconds(make, monkeypatch):
     monkeypatch.setattr(
         "plate_driver.node.make_transport", lambda _, context: Refusing(context.clock)
     )

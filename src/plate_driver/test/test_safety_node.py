@@ -148,7 +148,7 @@ def test_an_enable_is_answered_before_the_motors_are_ready(desk):
     assert (answer.success, answer.message[:28]) == (False, "the driver is ready, allowed")
 
 
-def test_what_was_asked_while_the_driver_stood_still_is_refused_but_for_stops(desk):
+def test_requests_during_a_stall_of_the_driver_are_refused_except_stops(desk):
     start_nodes(desk.node)
     for ask in (desk.enable, lambda: desk.call("home")):
         desk.clock.now += 5.0
@@ -162,7 +162,7 @@ def test_what_was_asked_while_the_driver_stood_still_is_refused_but_for_stops(de
     assert desk.enable().success
 
 
-def test_each_stop_reaches_the_motors_and_the_gravest_reason_is_told(desk):
+def test_each_stop_reaches_the_motors_and_the_gravest_reason_is_reported(desk):
     start_nodes(desk.node)
     stop, cut, off = DriverReason.EMERGENCY_STOP, DriverReason.POWER_CUT, DriverReason.SWITCHED_OFF
     for ask, cuts, reason in (

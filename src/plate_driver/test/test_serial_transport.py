@@ -40,7 +40,7 @@ def test_bytes_go_both_ways_and_nothing_waits(terminal):
     port.close()
 
 
-def test_missing_port_is_told():
+def test_missing_port_is_reported():
     with pytest.raises(PlateError, match=r"serial port /dev/nowhere is not there$"):
         open_port("/dev/nowhere")
     with pytest.raises(PlateError, match=r"/dev/null is a device, but no serial port, allowed: "):

@@ -96,7 +96,7 @@ def test_what_is_at_rest_but_for_rounding_follows_what_is():
     assert abs(stream.time - (0.2 + 0.2 + 0.01)) < 1e-9
 
 
-def test_a_newer_cycle_begins_the_count_anew():
+def test_a_newer_cycle_restarts_the_count():
     first, second = (cycle(0.2, 9, seed) for seed in (2, 3))
     stream, _ = SetpointStream.of(first, 2).until(0.3)
     stream, _ = stream.followed_by(second, 3).until(50.0)

@@ -599,7 +599,7 @@ def test_whatever_is_streamed_the_plate_never_jumps():
 # Its reports
 
 
-def test_starts_of_tails_are_told_too(pair, rng):
+def test_starts_of_tails_are_reported_too(pair, rng):
     """Of a device that plays A, B, the tail of B, rests, and plays from rest; half of the telemetry
     is lost, or that of the tail."""
     first, second = (MotorTable.of(RIG, cycle, 1) for cycle in pair)

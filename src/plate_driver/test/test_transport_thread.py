@@ -269,7 +269,7 @@ def test_a_transport_that_hangs_does_not_hold_up_an_answer():
     assert True in stops  # as soon as it could
 
 
-def test_a_defect_of_a_transport_is_told_and_the_thread_goes_on():
+def test_a_defect_of_a_transport_is_reported_and_the_thread_continues():
     told: list[Exception] = []
     again = threading.Event()
     thread = TransportThread(SimTransport(RIG, lambda table: None), Latch(), told.append)
@@ -378,7 +378,7 @@ def test_each_enable_has_another_time():
     assert latch.enabled_ns > first
 
 
-def test_a_device_has_been_met_once_it_was_heard():
+def test_a_device_has_been_met_after_its_first_message():
     motors = Motors()
     motors.reported = Condition.GONE
     thread = TransportThread(motors, Latch(), pytest.fail)
@@ -392,7 +392,7 @@ def test_a_device_has_been_met_once_it_was_heard():
 
 
 @pytest.mark.parametrize("active", [False, True])
-def test_a_stop_that_nobody_acknowledged_is_told_until_the_device_is_heard(active):
+def test_an_unacknowledged_stop_is_reported_until_the_device_replies(active):
     latch = closed(CUT, unanswered=True)
     wanted = DriverStatus(DriverState.ERROR, DriverReason.STOP_UNANSWERED, UNCERTAIN)
     assert driver_status(active, latch, SILENT, False) == wanted

@@ -355,7 +355,7 @@ def test_no_part_in_time():
     assert cell.t - before == pytest.approx(2.0, abs=0.15)
 
 
-def test_a_planner_that_never_rests_or_says_nothing():
+def test_a_planner_that_never_rests_or_sends_nothing():
     cell = Cell()
     cell.at_rest = False
     cell.get()
@@ -407,7 +407,7 @@ def test_the_end_of_the_task_is_reported_at_once_and_a_command_begins_it_again()
     assert cell.output.run
 
 
-def test_after_a_stop_nothing_begins_before_a_person_says_so():
+def test_after_a_stop_nothing_starts_before_a_person_requests_it():
     cell = Cell(PURGED, ready=())
     cell.get()
     cell.run(3)
@@ -588,7 +588,7 @@ def test_a_hopper_that_brings_nothing_is_empty_and_tried_again_by_a_command():
     assert not cell.replies
 
 
-def test_a_hopper_is_not_empty_because_a_robot_does_not_tell_what_it_takes():
+def test_a_robot_that_does_not_report_its_parts_does_not_empty_the_hopper():
     """Each get_part gives the part before it up."""
     cell = Cell(replace(TASK, hopper=replace(HOPPER, fill=8)), ready=(), seen={"black": 8})
     for name in range(40):

@@ -225,7 +225,7 @@ def graph(make):
     return graph
 
 
-def test_nothing_moves_until_somebody_asks_and_a_part_is_told(graph):
+def test_nothing_moves_until_a_request_and_a_part_is_reported(graph):
     graph.spin(0.3)
     assert graph.planner.began == 0
     status, result = graph.result(graph.send("get_part", GetPart.Goal()))
@@ -312,7 +312,7 @@ def test_the_hopper_opens_for_missing_parts_and_a_stop_shuts_it(graph):
 @pytest.mark.parametrize(
     ("jam", "told"), [("the lid is jammed", "jammed"), (None, "does not reply")]
 )
-def test_a_hopper_that_does_not_open_is_told_of(graph, jam, told):
+def test_a_hopper_that_does_not_open_is_reported(graph, jam, told):
     if jam is None:
         graph.feeder._hopper.call_async = lambda request: Future()
     graph.planner.jam, graph.planner.ready, graph.planner.seen = jam, {}, 0
@@ -361,7 +361,7 @@ def test_a_goal_is_canceled(graph):
     assert (status, result.part.id) == (GoalStatus.STATUS_SUCCEEDED, "black_4")
 
 
-def test_a_task_that_ends_is_told_and_begun_again(graph):
+def test_a_task_that_ends_is_reported_and_restarted(graph):
     graph.planner.ready = {}
     robot = graph.robot()
     graph.ask(robot, "get_part")
@@ -443,7 +443,7 @@ def test_a_stop_that_was_missed_is_known_by_the_enable_after_it(graph):
     assert graph.say(robot, "get_part").startswith("200 ")
 
 
-def test_a_stop_while_nothing_runs_counts_and_one_that_is_told_again_does_not(graph):
+def test_a_stop_without_a_task_counts_and_its_repetition_does_not(graph):
     tell = graph.planner.tell
     ended = TaskStatus(task="sort", **STOPPED_TASK)
     robot = graph.robot()
@@ -463,7 +463,7 @@ def test_a_stop_while_nothing_runs_counts_and_one_that_is_told_again_does_not(gr
     assert graph.say(robot, "get_part").startswith("200 ")
 
 
-def test_a_stop_outlives_a_feeder_that_is_activated_anew(graph):
+def test_a_stop_outlives_a_reactivated_feeder(graph):
     graph.planner.tell(TaskStatus(reason=TaskStatus.STOPPED, text="idle"))
     graph.until(lambda: graph.feeder._feeder.stopped)
     answer = graph.say(graph.robot(), "get_part")
@@ -474,7 +474,7 @@ def test_a_stop_outlives_a_feeder_that_is_activated_anew(graph):
     assert graph.say(graph.robot(), "get_part") == answer
 
 
-def test_a_planner_that_begins_anew_is_noticed(graph):
+def test_a_restarted_planner_is_noticed(graph):
     graph.call(PreparePart, "prepare_part")
     graph.until(lambda: graph.planner.orders)
     graph.until(lambda: graph.feeder._task._seen)
@@ -485,7 +485,7 @@ def test_a_planner_that_begins_anew_is_noticed(graph):
     assert graph.say(robot, "get_part").startswith("200 ")
 
 
-def test_a_silent_planner_is_told_of(graph):
+def test_a_planner_without_messages_is_reported(graph):
     graph.call(PreparePart, "prepare_part")
     graph.until(lambda: graph.feeder._feeder.quantity().seen)
     graph.planner.silent, graph.planner.ready = True, {}

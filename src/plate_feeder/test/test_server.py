@@ -139,7 +139,7 @@ def test_commands_wait_for_the_one_before_and_too_many_are_refused(stub, robot):
     assert [line[:4] for line in got[MAX_WAITING + 1 :]] == 2 * [b"429 "]
 
 
-def test_a_client_that_dies_while_it_waits_is_told_of(stub):
+def test_a_client_that_dies_while_it_waits_is_reported(stub):
     robot = stub.connect()
     robot.send(b"get_part\n")
     until(lambda: stub.waiting)

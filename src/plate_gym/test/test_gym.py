@@ -77,7 +77,7 @@ def test_all_tasks_are_registered(gym):
     assert isinstance(many.unwrapped, gym.PlateVectorEnv)
 
 
-def test_tasks_say_what_they_said(gym):
+def test_tasks_have_unchanged_digests(gym):
     """A change of a task's scenario or rig needs a new version of the task."""
     from plate_gym.tasks import digest
 
@@ -144,7 +144,7 @@ def test_many_plates_that_end_and_restart_do_as_one(gym, task, world):
     assert restarts >= 2
 
 
-def test_a_plate_that_has_ended_begins_anew(gym):
+def test_a_plate_that_has_ended_restarts(gym):
     """In the world that `reset` without a seed gives one plate alone."""
     many, one = gym.PlateVectorEnv("Sort4-v1", 2), gym.PlateEnv("Sort4-v1")
     many.reset(seed=3)
@@ -212,7 +212,7 @@ def test_a_seed_may_be_any_number(gym):
         assert np.array_equal(env.step(still)[0], seen)
 
 
-def test_some_plates_begin_anew(gym):
+def test_some_plates_restart(gym):
     many, one = gym.PlateVectorEnv("Sort4-v1", 3), gym.PlateEnv("Sort4-v1")
     many.reset(seed=np.int64(3))
     seen = many.step(many.action_space.sample())[0]
@@ -438,7 +438,7 @@ def test_references_wait_and_end_with_who_leaves_them(gym):
         assert (ended, bool(info["success"])) == (distance > 0.0303, False)
 
 
-def test_ours_follows_the_references_that_it_is_told(gym):
+def test_ours_follows_the_given_references(gym):
     from plate_gym.agent import Brief
     from plate_gym.agents import AGENTS
 
@@ -632,7 +632,7 @@ def test_motions_beyond_the_limits_are_scaled_down(gym):
         env.step(3)
 
 
-def test_who_is_told_what_runs_cannot_change_it(gym):
+def test_reported_cycles_cannot_be_changed(gym):
     """Not beyond the limits, nor at all."""
     env = gym.PlateEnv("Sort4-v1", action="cycle")
     env.reset(seed=0)

@@ -146,7 +146,7 @@ def test_more_than_the_summary_is_noticed(bench, result, monkeypatch):
     assert bench.check(changed) == ["Sort4-v1: the summary does not match its rows"]
 
 
-def test_what_is_claimed_and_made_of_other_code_is_told(bench, result, monkeypatch):
+def test_wrong_results_and_results_of_other_code_are_reported(bench, result, monkeypatch):
     rows = {row["seed"]: row for row in result["tasks"]["Sort4-v1"]["rows"]}
     monkeypatch.setattr(bench, "episode", lambda agent, world, task, seed: rows[seed])
     told = []
@@ -196,7 +196,7 @@ def test_fresh_seeds_show_a_share_that_was_picked(bench, result, monkeypatch, go
     assert ", held_out, fresh seeds " in told[-1]
 
 
-def test_code_is_known_by_what_it_says(provenance, tmp_path, monkeypatch):
+def test_code_is_identified_by_its_content(provenance, tmp_path, monkeypatch):
     """The commit is that of this file or of its original, even inside another repository. A change
     of any source changes the digest."""
     before = provenance.sources()
@@ -342,7 +342,7 @@ def test_what_is_no_agent_is_refused(bench, module, name, words):
     assert words in str(problem.value)
 
 
-def test_what_an_agent_is_told_is_its_own(bench):
+def test_an_agent_gets_copies_of_the_data(bench):
     from plate_gym import PlateEnv
     from plate_gym.agent import Brief
 
@@ -629,7 +629,7 @@ def test_the_other_agents_act(bench, name):
     assert name != "A" or info["to_go_m"] < 0.9 * way
 
 
-def test_the_papers_method_has_the_forces_it_asks_for(bench, monkeypatch):
+def test_the_papers_method_gets_the_forces_it_requests(bench, monkeypatch):
     """On the averaged map, with a plate so slow that it reverses in no time: the force that gives a
     part 30 mm/s in 0.2 s, as a fraction of 0.25 times 9.81 m/s^2."""
     from plate_gym import PlateEnv, classic
@@ -688,7 +688,7 @@ def ended(main):
         (["--seeds", f"0:{10**20}"], 2, "allowed: FIRST:END, at most 100000 of them"),
     ],
 )
-def test_the_command_says_what_is_wrong(
+def test_the_command_reports_errors(
     bench, result, words, code, told, tmp_path, monkeypatch, capsys
 ):
     rows = {row["seed"]: row for row in result["tasks"]["Sort4-v1"]["rows"]}
@@ -707,7 +707,7 @@ def test_the_command_says_what_is_wrong(
     assert told in said.out + said.err
 
 
-def test_the_speed_of_each_size_is_told(monkeypatch, capsys):
+def test_the_speed_of_each_size_is_reported(monkeypatch, capsys):
     from plate_gym import speed
 
     for name in ("CYCLES", "MANY"):

@@ -98,7 +98,7 @@ def test_other_programs_are_as_setuptools_writes_them(program):
 
 
 @pytest.mark.parametrize("env", ["/bin/false", "/no/such/env"])
-def test_an_env_that_cannot_hold_signals_back_is_not_asked_to(monkeypatch, env):
+def test_an_env_without_signal_blocking_is_not_used_for_it(monkeypatch, env):
     monkeypatch.setattr(programs, "ENV", env)
     assert programs.first_line("#!/usr/bin/python3") == "#!/usr/bin/python3"
 

@@ -44,7 +44,7 @@ def test_stamps_that_jitter_are_where_cycles_begin():
     assert [run[0] for run in log.runs] == [0.1, 0.203, 0.299, 0.401]
 
 
-def test_time_that_begins_anew():
+def test_time_that_restarts():
     log = CycleLog().record_cycle(SHORT, 5.0).advance(5.1).record_cycle(LONG, 5.1).advance(0.0)
     assert not log.known
     assert log.sent == ()
@@ -60,7 +60,7 @@ def test_an_image_of_a_trigger_line_belongs_to_the_last_pulse_before_its_stamp()
     assert log.triggered(0.95, 0.3) == 0.95  # at rest it is all the same
 
 
-def test_pieces_cover_the_time_asked_for():
+def test_pieces_cover_the_requested_time():
     log = CycleLog().record_cycle(SHORT, 0.0).advance(0.1).record_cycle(LONG, 0.1).advance(0.2)
     pieces = list(log.between(0.05, 0.35))
     assert [cycle is SHORT for cycle, *_ in pieces] == [True, False]
@@ -115,7 +115,7 @@ def test_going_back_is_noticed():
     assert not clock.went_back(3.0)
 
 
-def test_reports_say_what_runs_wherever_images_are():
+def test_reports_determine_the_running_cycle_wherever_images_are():
     log = CycleLog().started(SHORT, 1.0).record_cycle(LONG, 1.05).advance(1.043)
     assert names(log) == [(1.0, "short")]
     # Until the next report the newest one follows at its end, else rest.
@@ -127,7 +127,7 @@ def test_reports_say_what_runs_wherever_images_are():
     ]  # fmt: skip
 
 
-def test_reports_that_go_back_begin_anew():
+def test_reports_that_go_back_restart_the_log():
     log = CycleLog().started(SHORT, 9.0).started(LONG, 2.0)
     assert names(log) == [(2.0, "long")]
 
@@ -189,7 +189,7 @@ def test_a_cycle_that_is_due_is_expected_before_it_is_reported():
         assert one.advance(1.21).runs[-1][1].knot_pose[1, 0] == pytest.approx(11e-4)
 
 
-def test_rest_and_cycles_that_nobody_sent_tell_nothing():
+def test_rest_and_unknown_cycles_are_ignored():
     log = played(12, 1)
     for k in range(12, 20):
         log = log.record_cycle(PlateCycle.rest(0.1), 0.1 * k - 0.02, 0.1 * (k - 1))
@@ -233,7 +233,7 @@ def test_the_state_of_the_plate_is_certain_only_while_reports_come():
     assert log.started(SHORT, 1.25, triggered=True).certain
 
 
-def test_a_report_says_what_has_begun_in_spite_of_what_was_expected():
+def test_a_report_overrides_the_expected_start():
     expected = reported((1.0, LEAVES)).record_cycle(GOES_ON, 1.05, 1.0).advance(1.1)
     log = expected.started(LEAVES.tail, 1.1, triggered=True)
     assert [cycle for _, cycle in log.runs] == [LEAVES, LEAVES.tail]
@@ -332,7 +332,7 @@ def test_a_clock_that_was_set_back_makes_all_older_things_forgotten():
     assert (late.begun, late.delays) == (log.begun + 1, log.delays)
 
 
-def test_reports_say_whether_images_are_taken_at_starts_too():
+def test_reports_also_show_whether_images_are_taken_at_starts():
     log = CycleLog().started(SHORT, 1.0)
     assert log.free_running
     assert not log.started(SHORT, 1.1, triggered=True).free_running

@@ -150,7 +150,7 @@ def test_an_image_stamped_at_a_reported_start_is_not_old(late, found):
         assert estimator.parts.position == pytest.approx(world.place, abs=0.05e-3)
 
 
-def test_its_error_is_as_large_as_it_says():
+def test_its_error_has_the_stated_size():
     square = []
     for seed in range(4):
         for k, (estimator, truth) in enumerate(estimated(World(4, 1.1, seed), 12)):
@@ -298,7 +298,7 @@ def test_nothing_is_learnt_from_what_was_not_predicted_or_not_seen():
     assert not np.any(bias.drift)
 
 
-def test_parts_that_were_not_asked_go_on_drifting():
+def test_parts_without_a_request_keep_drifting():
     parts = Parts.make(("a_1", "a_2"), np.zeros((2, 2)), np.full((2, 2), 0.01))
     asked = LastRequest(("a_2",), np.full((1, 2), 0.03), 1.0)
     assert asked.drift_of(parts, 1.0 + T, T) == pytest.approx(np.array([[0.01] * 2, [0.03] * 2]))
@@ -331,7 +331,7 @@ def run_free(rate, latency, given=None, jitter=0.0, cycles=40, seed=0, later=0.0
 @pytest.mark.parametrize(
     ("rate", "latency"), [(15.0, 0.0), (15.0, 0.08), (47.0, 0.037), (47.0, 0.08), (120.0, 0.0)]
 )
-def test_images_of_any_time_tell_places_and_latency(rate, latency):
+def test_images_of_any_time_determine_places_and_latency(rate, latency):
     errors = []
     for estimator, truth in run_free(rate, latency):
         if len(estimator.parts):
@@ -386,7 +386,7 @@ def test_the_search_for_the_latency_bears_an_empty_plate():
     assert found.estimate.moved(log, later, ACCEL).mean.shape == found.estimate.mean.shape
 
 
-def test_the_first_images_in_motion_already_tell_of_the_latency():
+def test_the_first_images_in_motion_already_determine_the_latency():
     """Noisy stamps are not accepted before the frame interval is known; a wrong first estimate is
     corrected."""
     errors = []
@@ -412,7 +412,7 @@ def test_angles_are_those_between_cycles():
     assert spin == pytest.approx(np.full(len(spin), 0.5), abs=0.2)
 
 
-def test_it_says_when_images_do_not_come_as_they_should():
+def test_irregular_images_are_reported():
     world, none = World(2, 1.0), Estimator.of(RIG, T, 0.0)
     for rate, problem in (
         (10.0, ""), (5.0, ""), (12.4, ""), (13.7, "image rate is 13.7 per second"),
@@ -433,7 +433,7 @@ def test_it_says_when_images_do_not_come_as_they_should():
         assert bool(estimator.image_problem) is problem
 
 
-def test_it_says_when_answers_begin_late():
+def test_late_starts_of_answers_are_reported():
     estimator = Estimator.of(RIG, T, 0.0)
     for late, problem in (
         (0, ""),
@@ -447,7 +447,7 @@ def test_it_says_when_answers_begin_late():
 
 
 @pytest.mark.parametrize("triggered", [True, False])
-def test_it_says_how_many_cycles_had_no_answer_and_what_may_lack(triggered):
+def test_unanswered_cycles_are_reported_with_possible_causes(triggered):
     rng = np.random.default_rng(0)
     estimator, cycle = Estimator.of(RIG, T, 0.0), shaken(rng)
     for k in range(100):
@@ -464,7 +464,7 @@ def test_it_says_how_many_cycles_had_no_answer_and_what_may_lack(triggered):
     )
 
 
-def test_a_type_is_as_slippery_as_its_file_says_until_it_is_seen_to_be_otherwise():
+def test_a_type_has_the_friction_of_its_file_until_measured():
     steel = PartType("nut", radius_m=0.008, symmetry=0, mass_kg=0.01, mu=0.1)
     rig = replace(load_rig(), types={"nut": steel})
     parts = Parts.make(("black_1", "nut_1"), np.zeros((2, 2)))

@@ -33,7 +33,9 @@ TWO = Parts.make(("a", "b"), np.array([[0.1, 0.2], [-0.1, 0.05]]), np.array([[4e
         (RIG, None, None, 2, ["b at (-0.100, 0.050) m has 30.0 mm"], "drift"),
     ],
 )
-def test_the_part_that_lacks_most_is_told_with_a_remedy(rig, drift, force, count, inside, outside):
+def test_the_part_with_the_largest_shortfall_is_reported_with_a_remedy(
+    rig, drift, force, count, inside, outside
+):
     request = LastRequest()
     if drift is not None:
         values = np.array([[1.0, 1.0], drift]), np.array([[9.0, 9.0], force])
@@ -56,7 +58,7 @@ def test_the_part_that_lacks_most_is_told_with_a_remedy(rig, drift, force, count
         (WEAK, FEW + 1, 60.0, "time_limit_s, 60 s", "take longer"),
     ],
 )
-def test_a_weak_plate_is_told_before_the_start(rig, count, limit_s, inside, outside):
+def test_a_weak_plate_is_reported_before_the_start(rig, count, limit_s, inside, outside):
     text = outlook(rig, count, limit_s)
     assert bool(text) == (rig is WEAK)
     assert inside in text

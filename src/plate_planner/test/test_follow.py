@@ -163,7 +163,7 @@ def test_measurement_noise_is_not_amplified():
     assert np.sqrt(np.mean(errors**2)) < 2e-4
 
 
-def test_the_drift_asked_for_is_bounded_in_magnitude_not_in_direction():
+def test_the_requested_drift_is_bounded_in_magnitude_not_in_direction():
     far = np.array([[0.3, 0.4], [0.0, 0.001]])
     wanted = pd_drift(np.zeros((2, 2)), far, far, T, 0.5, np.array([0.06, 0.06]))
     assert wanted == pytest.approx(np.array([[0.036, 0.048], [0.0, 0.005]]))
@@ -251,7 +251,7 @@ def test_parts_that_start_elsewhere_are_led_to_their_paths_first(far):
         (0.07, 10.0, "no motion of this plate moves a part faster than 0.062 m/s (a T/16)"),
     ],
 )
-def test_what_is_too_fast_is_said_with_the_speed_that_would_do(speed, accel, said):
+def test_too_high_a_speed_is_reported_with_a_feasible_speed(speed, accel, said):
     scenario = load_scenario("follow_2")
     paths = tuple(replace(path, speed=speed) for path in scenario.task.paths)
     rig = replace(RIG, limits=replace(RIG.limits, accel=accel))
@@ -278,7 +278,7 @@ def test_a_path_that_takes_longer_than_the_time_limit_is_refused():
         ("sort_10", 4.9, "several times as long, and some runs may exceed time_limit_s, 1"),
     ],
 )
-def test_a_plate_that_shakes_too_little_is_said_with_what_to_expect(name, gamma, said):
+def test_a_plate_that_shakes_too_little_is_reported_with_the_consequences(name, gamma, said):
     rig = replace(RIG, limits=replace(RIG.limits, accel=gamma * RIG.friction.accel))
     warnings = Planner(rig, load_scenario(name)).warnings()
     assert bool(warnings) == bool(said)
@@ -363,7 +363,7 @@ def test_it_slows_down_instead_of_failing_when_the_plate_cannot_give_so_much():
 
 
 @pytest.mark.parametrize(("fraction", "scalings"), [(0.05, (1.0, 1.0)), (0.2, (0.7, 0.49))])
-def test_references_slow_down_as_soon_as_a_cycle_lacks_what_was_asked(fraction, scalings):
+def test_references_slow_down_as_soon_as_a_cycle_falls_short_of_the_request(fraction, scalings):
     scenario = load_scenario("follow_2")
     plant, follower = Plant(scenario), Follower(scenario.task, RIG)
     memory = follower.begin(plant.seen(), 0.0)
@@ -414,7 +414,7 @@ def test_references_slow_down_before_corners(speed):
 
 
 @pytest.mark.parametrize("known", [True, False])
-def test_little_is_asked_as_long_as_the_age_of_images_is_unknown(known):
+def test_requests_are_small_until_the_age_of_images_is_known(known):
     scenario = load_scenario("follow_2")
     plant, follower = Plant(scenario), Follower(scenario.task, RIG)
     seen = Parts.make(plant.ids, follower.reference(follower.begin(plant.seen(), 0.0), 0.0))

@@ -50,7 +50,7 @@ def test_dropped_images_do_not_lead_it_astray(rate, scatter):
 
 
 @pytest.mark.parametrize("rate", [15.0, 30.0, 60.0, 120.0])
-def test_its_error_is_as_large_as_it_says(rate):
+def test_its_error_has_the_stated_size(rate):
     squares = []
     for seed in range(4):
         rng, clock, last = np.random.default_rng(seed), FrameClock(), -1.0

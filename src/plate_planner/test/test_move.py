@@ -36,7 +36,7 @@ def parts(place, angle=None):
     )
 
 
-def test_a_part_is_asked_to_its_target_and_the_others_to_stay_but_to_make_room_there():
+def test_a_part_moves_to_its_target_and_the_others_stay_or_clear_it():
     mover = Mover(task(THERE), RIG)
     near, far = ([x, 0.05] for x in (0.095, -0.2))
     for place, first in ((near, True), (far, False)):
@@ -54,7 +54,7 @@ def test_a_part_is_asked_to_its_target_and_the_others_to_stay_but_to_make_room_t
     assert to.angles is None
 
 
-def test_an_angle_is_asked_of_those_that_have_one():
+def test_an_angle_is_requested_of_parts_that_have_one():
     turned = replace(THERE, angle=np.radians(-170))
     mover = Mover(task(turned), RIG)
     seen = parts([THERE.place, [0.0, 0.0]], np.radians([170.0, 40.0]))
@@ -173,7 +173,7 @@ def test_a_new_part_stays_where_it_is_seen_first():
     assert progress.phase is Phase.RUNNING
 
 
-def test_what_lies_on_a_target_is_said():
+def test_parts_on_a_target_are_reported():
     plant = Plant(SORT_4)
     where = tuple(plant.position[plant.ids.index("grey_2")])
     _, _, progress = run(endless(replace(THERE, place=where)), plant, cycles=3)

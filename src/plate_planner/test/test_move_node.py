@@ -45,7 +45,7 @@ def ids(msg):
     return [target.id for target in msg.targets]
 
 
-def test_targets_are_taken_while_it_runs_and_told(graph):
+def test_targets_are_accepted_while_it_runs_and_reported(graph):
     graph = graph()
     publisher, heard = connected(graph)
     assert not heard[-1].targets

@@ -185,7 +185,7 @@ def test_a_newer_goal_is_refused_or_preempts(graph):
     assert graph.result(second)[1].reason == TaskStatus.STOPPED
 
 
-def test_stop_says_what_was_stopped(graph):
+def test_stop_reports_the_stopped_task(graph):
     graph = graph()
     handle = graph.begin()
     assert graph.image(0.3, APART).parts.ids == IDS
@@ -219,7 +219,7 @@ def test_a_stop_ends_a_measurement_of_friction(graph):
     assert calls == [False]
 
 
-def test_a_stop_when_no_task_runs_is_told(graph):
+def test_a_stop_when_no_task_runs_is_reported(graph):
     graph = graph()
     assert graph.stop().message == "no task runs"
     graph.until(lambda: graph.statuses[-1].reason == TaskStatus.STOPPED)
@@ -228,7 +228,7 @@ def test_a_stop_when_no_task_runs_is_told(graph):
     assert graph.statuses[-1].reason == TaskStatus.NONE
 
 
-def test_why_no_parts_come_is_what_the_detector_says(graph):
+def test_missing_parts_are_explained_by_the_detectors_message(graph):
     graph = graph(input_timeout_s=0.3)
     said = DiagnosticStatus(name="/a/detector", message="no image yet; check that the camera runs")
     graph.others.publish(DiagnosticArray(status=[said]))
@@ -285,7 +285,7 @@ def test_a_driver_that_is_not_ready_ends_the_task_at_once(graph, status):
     assert graph.image(0.5, APART).parts.ids == ()
 
 
-def test_a_second_driver_is_told_of_and_no_task_begins(graph):
+def test_a_second_driver_is_reported_and_no_task_starts(graph):
     graph = graph(input_timeout_s=30.0)
     graph.image(0.0, APART)
     other = rclpy.create_node("other_driver")
@@ -443,7 +443,7 @@ def test_a_goal_that_was_sent_while_the_planner_stood_still_is_not_begun(graph):
     graph.begin(0.1)
 
 
-def test_an_order_of_a_stranger_is_not_carried_out(graph, monkeypatch):
+def test_an_order_of_a_second_publisher_is_not_executed(graph, monkeypatch):
     graph = graph(input_timeout_s=30.0)
     monkeypatch.setattr(
         graph.planner._monitor, "second_publishers", str
@@ -559,7 +559,7 @@ ORDERS = [("cycle", "start", "parts"), ("parts", "cycle", "start"), ("start", "p
 
 
 @pytest.mark.parametrize("order", ORDERS[1:], ids="-".join)
-def test_in_lockstep_it_does_not_matter_what_is_heard_first(reported, order):
+def test_in_lockstep_the_order_of_messages_does_not_matter(reported, order):
     for one, other in zip(reported(order), reported(ORDERS[0]), strict=True):
         for name in ("forces.force", "forces.tolerance", "start", "plate"):
             value = operator.attrgetter(name)
@@ -575,7 +575,7 @@ def test_in_lockstep_it_does_not_matter_what_is_heard_first(reported, order):
         *((each, False, True) for each in ORDERS),
     ],
 )
-def test_the_plate_goes_on_from_where_it_is_told_to_be(reported, order, lockstep, at_once):
+def test_the_plate_continues_from_its_reported_state(reported, order, lockstep, at_once):
     first, second, third = reported(order, lockstep, at_once)
     assert np.array_equal(first.plate, np.zeros((3, 3)))
     assert np.array_equal(second.plate, STATE)

@@ -88,7 +88,7 @@ def fell(name):
     return Failure(Reason.PART_LEFT, f"{name} fell")
 
 
-def test_the_end_says_how_it_went_and_what_became_of_a_part():
+def test_the_end_reports_the_result_and_the_fate_of_a_part():
     limits = replace(LIMITS, hold_s=0.0)
     done = evaluate(RUNNING, 101.0, Findings((), True, 0.0, outcome="4 of 4 parts"), limits)
     assert done.text == "done after 1.0 s: 4 of 4 parts"
@@ -98,7 +98,7 @@ def test_the_end_says_how_it_went_and_what_became_of_a_part():
     assert state.reason is Reason.PART_LEFT
 
 
-def test_a_time_limit_says_whether_it_was_still_getting_nearer():
+def test_a_time_limit_reports_whether_parts_still_approached():
     near = evaluate(RUNNING, 100.0, Findings((), False, 0.2), LIMITS)
     near = evaluate(near, 109.0, Findings((), False, 0.1), LIMITS)
     state = evaluate(near, 110.1, Findings((), False, 0.1, detail=lambda: "8 mm to go"), LIMITS)
@@ -179,7 +179,7 @@ def at_distances(*to_go, missing=(), met=False, stuck_timeout_s=3.0):
     return state
 
 
-def test_no_nearer_for_long_is_stuck_and_says_who():
+def test_no_progress_for_long_is_stuck_and_names_the_part():
     assert at_distances(0.1, 0.09, 0.09, 0.0885, 0.09).phase is Phase.RUNNING
     state = at_distances(0.1, 0.09, 0.09, 0.0885, 0.09, 0.0885)
     reason = "no progress for 3 s; grey_2 is 8.0 mm short"
@@ -237,7 +237,7 @@ def test_an_incomplete_image_does_not_break_the_hold_nor_end_the_task():
         (Findings(GONE, False, 1.0), Phase.LOST),
     ],
 )
-def test_an_end_says_how_many_cycles_had_no_answer(found, phase):
+def test_an_end_reports_the_number_of_unanswered_cycles(found, phase):
     texts = []
     for slow in ("", "9 of 90 cycles were not answered in time"):
         now = replace(found, unanswered=slow)

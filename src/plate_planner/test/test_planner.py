@@ -148,14 +148,14 @@ def test_it_sorts_into_corners():
         assert (x < -0.4 and y > 0.4) if part_class(part_id) == "black" else y < -0.4
 
 
-def test_idle_asks_nothing_of_anyone():
+def test_idle_requests_nothing():
     scenario = load_scenario("sort_4")
     planner = Planner(RIG, scenario)
     _, asked, progress = planner.plan(planner.initial(), Plant(scenario).seen(), 0.0)
     assert (len(asked.parts), progress.phase, progress.parts_seen) == (0, "idle", 4)
 
 
-def test_stop_aborts_and_start_begins_anew():
+def test_stop_aborts_and_start_restarts():
     scenario = load_scenario("sort_4")
     plant, planner = Plant(scenario), Planner(RIG, scenario)
     state, _, progress = run(planner, plant, cycles=20)

@@ -92,7 +92,7 @@ def test_the_hand_of_the_swirl_is_the_nearer_one_and_changes_only_for_a_reason()
     assert SORTER.hand(1.0, Parts.make((), np.zeros((0, 2)))) == 1.0
 
 
-def test_the_mirror_image_asks_for_the_mirror_image():
+def test_the_mirror_image_gets_the_mirrored_request():
     rng = np.random.default_rng(1)
     position = rng.uniform(-HALF, HALF, (8, 2))
     ids = tuple(f"{('black', 'grey')[i % 2]}_{i}" for i in range(8))
@@ -133,7 +133,7 @@ def test_sorted_means_beyond_the_goal_line_on_its_own_side(part_id, fraction, ex
     assert (SORTER.to_go(parts)[0] == 0) == expected
 
 
-def test_corners_are_asked_along_both_axes_and_top_is_left_turned_round():
+def test_corners_are_requested_along_both_axes_and_top_is_left_rotated():
     task = SortTask({"black": Side(-1, 1), "grey": Side(0, 1)}, goal_fraction=0.6, hold_s=0.5)
     ids = ("black_1", "black_2", "black_3", "grey_1", "grey_2")
     points = [(-0.7, 0.7), (-0.7, 0.3), (0.3, 0.2), (0.86, 0.7), (0.0, 0.0)]

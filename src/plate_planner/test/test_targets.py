@@ -13,7 +13,7 @@ from plate_planner.tasks.targets import assign, match_targets, rematch_targets
 RIG = load_rig()
 
 
-def test_each_part_gets_a_place_of_its_class_and_a_stranger_none():
+def test_each_part_gets_a_place_of_its_class_and_other_parts_none():
     parts = Parts.make(
         ("grey_1", "red_1", "black_1", "black_2"),
         np.array([[0.0, 0.0], [0.0, 0.1], [0.1, 0.0], [0.0, 0.01]]),
@@ -31,7 +31,7 @@ def test_each_part_gets_a_place_of_its_class_and_a_stranger_none():
     assert np.all(to.weight[[0, 2, 3]] > 0)
 
 
-def test_nobody_is_asked_nothing():
+def test_no_parts_means_no_request():
     nobody = Parts.make((), np.zeros((0, 2)))
     assembly = Assembler(AssembleTask(("black",), ((0.0, 0.0),), 0.003, 1.0), RIG)
     assert assembly.request(nobody).low.shape == (0, 2)

@@ -63,7 +63,7 @@ def strokes(period, back=0.1, ramp=0.05, speed=1.0):
     return PlateCycle.from_knots(rows[:, 0], rows[:, 1:4], rows[:, 4:7], rows[:, 7:])
 
 
-def test_coin_moves_as_scipy_says():
+def test_coin_moves_as_in_scipy():
     # In axes along and across the line from the plate's centre to the coin
     frequency, spin, radius, start, seconds = 25, 1.1, 0.0095, 0.1, 2
     x, y = cells(radius, 12, 36)
@@ -111,7 +111,7 @@ def test_coin_circles_at_constant_speed_and_moves_out(frequency, least):
     assert drifts == pytest.approx(np.diff(point_out)[1:], rel=0.25)
 
 
-def test_whirlpool_moves_a_disc_as_scipy_says():
+def test_whirlpool_moves_a_disc_as_in_scipy():
     radius, period, cycles = 0.02, 0.02, 12
     cycle = strokes(period)
     x, y = cells(radius, 12, 36)
@@ -146,7 +146,7 @@ def test_whirlpool_moves_a_disc_as_scipy_says():
     assert run.spin[-1, 0] == pytest.approx(state[5], rel=3e-3)
 
 
-def test_whirlpool_turns_a_disc_clockwise_in_place_as_averages_say():
+def test_whirlpool_rotates_a_disc_clockwise_in_place_as_averages_predict():
     # Quick strokes: friction averaged over a cycle for a part that moves steadily, (3) to (5)
     radius, period, seconds = 0.02, 0.002, 4
     cycle = strokes(period)

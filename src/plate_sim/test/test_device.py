@@ -90,7 +90,7 @@ def test_load_is_that_of_the_inertia_and_centre_of_mass_in_the_rig_file(tmp_path
         assert np.max(np.abs(LIMITS.load @ qdd - force)) > 0.05
 
 
-def test_line_is_as_bad_as_asked():
+def test_line_has_the_requested_faults():
     data = bytes(range(256)) * 400
     for name, expected in (("dropped", 0.99), ("repeated", 1.01), ("corrupted", 1.0)):
         line = Line(LineFaults(**{name: 0.01}), np.random.default_rng(1))

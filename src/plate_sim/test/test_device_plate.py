@@ -32,7 +32,7 @@ def swinging(period: float) -> PlateCycle:
 
 
 @pytest.mark.parametrize("bandwidth", [200.0, np.inf])
-def test_sensors_tell_what_the_simulated_plate_does(bandwidth):
+def test_sensors_measure_the_simulated_plate(bandwidth):
     hung = replace(
         RIG,
         suspension=Suspension(

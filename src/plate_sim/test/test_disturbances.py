@@ -126,7 +126,7 @@ def shaking(rng, period=0.2):
     return PlateCycle.from_samples(period, pose / np.abs(pose).max(axis=0) * [0.008, 0.005, 0.015])
 
 
-def test_friction_read_once_a_cycle_errs_as_little_as_is_said():
+def test_friction_read_once_a_cycle_has_the_documented_error():
     """Against reading it 100 and 200 times, which agree with each other far better."""
     gap, fine_gap, effect = [], [], []
     for seed in range(8):

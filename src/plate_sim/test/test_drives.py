@@ -42,7 +42,7 @@ def enabled():
     return drives
 
 
-def test_a_drive_follows_as_the_equation_of_motion_says():
+def test_a_drive_follows_the_equation_of_motion():
     drives, places = enabled(), np.cumsum([0, 1e-4, 3e-4, 2e-4, 0, 0, 0, 0])
 
     def change(t, y):
@@ -75,7 +75,7 @@ def odrive_frames(drives, place, speed=0.0):
     ]
 
 
-def test_an_odrive_follows_as_the_equation_of_motion_says():
+def test_an_odrive_follows_the_equation_of_motion():
     drives, places, ff = (
         SimulatedODrives(ODRIVES),
         [1e-4, 3e-4, 2e-4, 0, 0],
@@ -97,7 +97,7 @@ def test_an_odrive_follows_as_the_equation_of_motion_says():
             np.testing.assert_allclose(drives.motors[1], truth[1], atol=2e-7 * BANDWIDTH)
 
 
-def test_an_odrive_that_is_told_nothing_lets_go():
+def test_an_odrive_without_messages_disarms():
     drives = SimulatedODrives(ODRIVES)
     drives.receive([(d.node << 5 | 7, bytes([8, *[0] * 7])) for d in ODRIVES])
     beats = [frame for _ in range(121) for frame in drives.passed()]
@@ -105,7 +105,7 @@ def test_an_odrive_that_is_told_nothing_lets_go():
     assert beats[-1][1] == struct.pack("<IBBBB", 1 << 24, 1, 0, 0, 0)
 
 
-def test_the_judge_sees_what_odrives_are_told_beyond():
+def test_the_check_sees_setpoints_of_odrives_beyond_limits():
     drives = SimulatedODrives(ODRIVES)
     check = SetpointCheck(ODRIVES, drives.zeros, LIMITS)
     for place in (0.0, 0.0021, 0.0042):
@@ -160,7 +160,7 @@ def test_a_header_has_the_drives():
     assert "DRIVES" not in c_header(DeviceLimits.of_rig(load_rig()), "rig.yaml")
 
 
-def test_a_rig_without_drives_and_a_program_that_is_not_there_are_said():
+def test_a_rig_without_drives_and_a_missing_program_are_reported():
     with pytest.raises(PlateError, match="motors have no drives, allowed: `drive: cia402`"):
         FirmwareOnDesk("/bin/true", load_rig())
     with pytest.raises(PlateError, match="firmware is '/no/such': "):

@@ -295,7 +295,7 @@ def test_round_parts_have_an_angle_only_if_they_are_marked():
         assert grip.error_rad == pytest.approx(0.3 if marked else 0.0)
 
 
-def test_a_grip_beside_all_parts_takes_none_and_says_so():
+def test_a_grip_beside_all_parts_takes_none_and_reports_it():
     simulation = world()
     place = simulation.state.position[4]
     before = simulation.state
@@ -317,7 +317,7 @@ def test_a_neighbour_in_the_jaws_is_reported():
     assert grip.message == "black_2 is taken"
 
 
-def test_grips_fail_at_the_rate_asked_for_and_move_the_part_a_little():
+def test_grips_fail_at_the_requested_rate_and_move_the_part_a_little():
     share, count, slipped = 0.3, 0, 0
     for seed in range(16):
         simulation = world("feed_bars", seed, Disturbances(pick_failure=share))

@@ -38,7 +38,7 @@ def test_even_acceleration_is_met_exactly_at_any_age():
     assert past.ago(-0.01).position[0] == pytest.approx([0.04 + 0.01 * 0.4, 0])
 
 
-def test_no_more_is_kept_than_asked_for():
+def test_no_more_is_kept_than_requested():
     past = History()
     for k in range(10):
         past = past.after(passage((float(k), 0.0)), 0.25)

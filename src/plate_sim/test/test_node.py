@@ -138,7 +138,7 @@ def test_stamps_keep_to_the_system_clock_when_that_is_set():
         assert abs(loop.stamps[-1] - loop.clock.ns) < 60e9
 
 
-def test_lockstep_waits_and_asks_again():
+def test_lockstep_waits_and_requests_again():
     with Loop(lockstep=True) as loop:
         assert loop.spin(lambda: len(loop.infos) >= 2)
         assert len(loop.images) == 1
@@ -291,7 +291,7 @@ def test_what_hopper_and_robot_cannot_do_is_refused_in_words():
         assert (reply.success, reply.message[:11]) == (False, "gripper is ")
 
 
-def test_a_scenario_without_a_hopper_says_so():
+def test_a_scenario_without_a_hopper_is_reported():
     with Loop(lockstep=True, scenario="sort_4") as loop:
         assert "this scenario has no hopper" in open_hopper(loop, 1.0).message
 
@@ -384,7 +384,7 @@ def test_bad_tables_are_refused_and_the_plate_carries_on():
         )
 
 
-def test_diagnostics_tell_silence_and_refusals():
+def test_diagnostics_report_timeouts_and_refusals():
     def wait_for(loop, level, text):
         loop.reports.clear()
 

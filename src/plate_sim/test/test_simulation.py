@@ -138,7 +138,7 @@ def test_blur_can_be_switched_off(latency):
     assert gap(images[0], images[1]) > 20
 
 
-def test_the_share_of_images_asked_for_is_missed_and_no_motion_changes():
+def test_the_requested_fraction_of_images_is_missed_and_no_motion_changes():
     seen, ends = [], []
     for share in (0.3, 0.0):
         simulation = Simulation(RIG, SORT_4, 5, Disturbances(missed_images=share))
@@ -157,7 +157,7 @@ def dark_at(image, position):
     return image[v, u] < DARK
 
 
-def test_parts_are_missed_by_the_share_asked_for():
+def test_the_requested_fraction_of_parts_is_missed():
     simulation = Simulation(RIG, SORT_4, 5, Disturbances(missed_parts=0.25))
     seen = np.array([dark_at(simulation.capture(), simulation.state.position) for _ in range(300)])
     assert np.mean(seen) == pytest.approx(0.75, abs=4 * np.sqrt(0.1875 / seen.size))
@@ -165,7 +165,7 @@ def test_parts_are_missed_by_the_share_asked_for():
     assert np.abs(np.corrcoef(seen.T) - np.eye(4)).max() < 0.25
 
 
-def test_false_parts_are_drawn_by_the_share_asked_for():
+def test_false_parts_are_drawn_with_the_requested_probability():
     simulation = Simulation(RIG, SORT_4, 5, Disturbances(false_parts=0.5), noise=0.0)
     clean = Simulation(RIG, SORT_4, 5, noise=0.0).capture()
     area = np.count_nonzero(clean < DARK) / 4

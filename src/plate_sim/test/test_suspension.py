@@ -241,7 +241,7 @@ def test_energy_only_falls_at_rest(bandwidth):
     assert energy[-1] < 0.2 * energy[0]
 
 
-def test_unequal_motors_turn_the_plate_as_statics_says():
+def test_unequal_motors_rotate_the_plate_as_in_statics():
     """Pushed slowly along x: K_theta theta = 0.1 m (f_2 - f_1), f_i = g_i K_x x / 2."""
     cycle = wave(0.5, [1e-3, 0, 0])
     x, y, theta = steady(rig(motor_gain=(1.15, 0.85, 1.0, 1.0)), cycle, 1e-3, 0.5)
@@ -251,7 +251,7 @@ def test_unequal_motors_turn_the_plate_as_statics_says():
     assert abs(y) < 1e-12
 
 
-def test_unequal_motors_couple_as_the_transfer_matrix_says():
+def test_unequal_motors_couple_as_in_the_transfer_matrix():
     hung = rig(mass=LOPSIDED, stiffness=COUPLED, motor_gain=UNEQUAL, feedforward=WEIGHED)
     w = 2 * pi * 25.0
     mass, damping, stiffness = np.array(LOPSIDED), np.array(DAMPING), np.array(COUPLED)
@@ -291,7 +291,7 @@ def test_a_realised_motion_can_be_commanded():
     np.testing.assert_array_equal(one.coefficients, other.coefficients)
 
 
-def test_overtravel_is_told():
+def test_overtravel_is_reported():
     hung, state = rig(), PlateState.at_rest()
     cycle = wave(FREQUENCY, [1e-3, 0, 0], harmonic=2)
     told = []

@@ -121,7 +121,7 @@ def test_force_times_time_over_mass_is_the_change_of_drift(rig):
 
 
 @METHOD
-def test_what_is_said_to_be_reached_near_the_places_is(rig, scene, method):
+def test_the_predicted_end_near_the_places_is_reached(rig, scene, method):
     """No part's last velocity is counted on, as it is on long ways."""
     controller = Controller(rig, method)
     for seed in range(4):
@@ -316,7 +316,7 @@ def test_any_number_of_parts_is_answered(rig, method, count):
 
 
 @METHOD
-def test_a_deadline_ends_a_hard_search_and_is_told(rig, method):
+def test_a_deadline_ends_a_hard_search_and_is_reported(rig, method):
     """A hundred parts on one spot, to keep a metre apart: beyond all use, and still answered."""
     position = np.full((100, 2), 0.01)
     parts = Parts.make(tuple(f"a_{i}" for i in range(100)), position)

@@ -71,7 +71,7 @@ def test_condition_grows_as_one_over_the_distance(rig):
     np.testing.assert_allclose(slopes, [-1, 1], atol=0.05)
 
 
-def test_parts_in_one_place_cannot_be_told_apart(rig):
+def test_parts_in_one_place_cannot_be_moved_separately(rig):
     found = manipulability(rig, np.array([[0.05, 0.03], [0.05, 0.03]]))
     assert np.isinf(found.condition)
     assert found.weakest_force == 0

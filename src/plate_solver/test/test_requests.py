@@ -122,7 +122,7 @@ def test_parts_in_one_place_pushed_apart_get_nothing(method):
 
 @BOTH
 @pytest.mark.parametrize("refine", ["none", "velocity", "cycle"])
-def test_nothing_asked_is_a_plate_at_rest(method, refine):
+def test_no_request_is_a_plate_at_rest(method, refine):
     position = np.array([[0.05, 0.03], [0.05, 0.03], [9.0, 0.0]])
     force = np.array([[0.0, 0.0], [0.0, -0.05], [0.0, 0.0]])
     slack = np.array([[0.0, 0.0], [0.0, 0.05], [0.0, 0.0]])

@@ -74,7 +74,7 @@ def test_basis_of_dependent_columns_does_no_harm():
     check(times, *problem)
 
 
-def test_nothing_asked_and_parts_in_one_place():
+def test_no_request_and_parts_in_one_place():
     ones, dear = np.ones(len(LIBRARY.twist)), np.full(4, 30.0)
     here = np.array([[0.1, 0.05], [0.1, 0.05]])
     none = min_time(LIBRARY.forces(here), np.zeros(4), ones, dear, dear)

@@ -48,7 +48,7 @@ def test_admissible_motions_stay_within_what_they_may(limits, most):
 
 
 @pytest.mark.parametrize("size", [1.0, 5.0])
-def test_limits_are_used_as_the_rig_says(rig, limits, size):
+def test_limits_of_the_rig_are_used(rig, limits, size):
     limited = family(limits)
     for seed in range(5):
         cycle = limited.cycle(size * limited.random(np.random.default_rng(seed)))

@@ -92,7 +92,7 @@ def test_last_solution_is_a_good_start(rig, scene):
     assert steps["warm"] < 0.8 * steps["cold"]
 
 
-def test_what_is_proven_out_of_reach_is_said(rig):
+def test_proven_infeasibility_is_reported(rig):
     solver = SinusoidSolver(rig, harmonics=2, restarts=2)
     inside = solver.solve(PLACE, [[0.3, 0.0]])
     beyond = solver.solve(PLACE, [[0.4, 0.0]])

@@ -107,7 +107,7 @@ def test_moving_parts(rig, scene, method):
 
 @BOTH
 @pytest.mark.parametrize("asked", [[[2.0, 0.0]], [[0.0, -2.0]]])
-def test_what_cannot_be_reached_is_said_and_tried(rig, method, asked):
+def test_infeasible_requests_are_reported_and_tried(rig, method, asked):
     position = np.array([[0.1, 0.05]])
     solution = method(rig, restarts=1, iterations=20).solve(position, asked)
     assert not solution.success
@@ -163,7 +163,7 @@ def test_same_seed_same_answer(rig, scene, method):
 
 
 @BOTH
-def test_free_curl_asks_for_nothing(rig, scene, method):
+def test_free_curl_requests_nothing(rig, scene, method):
     rng, position = scene(1, 2)
     force = rng.uniform(-0.1, 0.1, (2, 2))
     free = method(rig, restarts=0).solve(position, force, curl=np.full(2, np.nan))

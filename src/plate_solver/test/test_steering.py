@@ -94,7 +94,9 @@ def test_a_motion_that_ends_with_the_requested_mean_velocity_meets_the_goal_ahea
         (RotationSolver, 4, 6, 0.3, 0.40),
     ],
 )
-def test_simulated_parts_go_where_asked(rig, scene, method, count, seeds, least, missed):
+def test_simulated_parts_reach_the_requested_places(
+    rig, scene, method, count, seeds, least, missed
+):
     solver = method(rig)
     period = solver.steering_period(count)
     unit = rig.friction.accel * period**2
@@ -178,7 +180,7 @@ def test_errors_are_what_is_beyond_intervals_edges_and_distances():
 
 
 @pytest.mark.parametrize(("weight", "bound"), [(0.0, 0.1), (0.5, 0.12)])
-def test_a_part_stays_beyond_the_edge_only_where_that_is_asked(weight, bound):
+def test_a_part_stays_beyond_the_edge_only_on_request(weight, bound):
     start, none = np.array([[0.12, -0.12]]), np.zeros((1, 2))
     goal = Goal(start, none, none, none, 2.45, weight=weight, edge=np.array([0.1, 0.1]))
     np.testing.assert_allclose(goal.ends.edge_high, [bound, 0.1])  # not on the far side
@@ -188,7 +190,7 @@ def test_a_part_stays_beyond_the_edge_only_where_that_is_asked(weight, bound):
 
 
 @pytest.mark.parametrize("wrong", [np.nan, -0.5, np.inf])
-def test_weights_that_say_nothing_are_refused(wrong):
+def test_meaningless_weights_are_refused(wrong):
     none, turns = np.zeros((2, 2)), np.zeros(2)
     with pytest.raises(PlateError, match=rf"^weight has {wrong:g}, allowed: finite, 0 and above$"):
         Goal(none, none, none, none, 2.45, weight=np.array([[1.0, 1.0], [1.0, wrong]]))
@@ -396,7 +398,7 @@ def test_same_seed_same_answer(rig, scene, method):
 
 
 @BOTH
-def test_what_cannot_be_reached_is_said(rig, method):
+def test_infeasible_requests_are_reported(rig, method):
     # A part at rest cannot go further than mu g T^2 / 2 in a cycle.
     solver = method(rig, restarts=1, iterations=20)
     period = solver.steering_period(1)

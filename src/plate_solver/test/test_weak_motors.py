@@ -81,7 +81,7 @@ def test_forces_peak_at_a_multiple_of_their_root_mean_square(solver):
 
 
 @WEAK
-def test_limits_are_used_as_the_rig_says(name):
+def test_limits_of_the_rig_are_used(name):
     rig = RIGS[name]
     weight = np.array([2.0, 1, 1, 1, 1])
     limits = Limits.of(rig, 1.0)

@@ -106,7 +106,7 @@ def test_nothing_but_commands_and_refusals(name, extra, data):
         assert "\n" not in call_text(read_command(text, Role.OPERATOR))
 
 
-def test_a_call_says_what_a_script_would_do():
+def test_calls_have_the_text_of_a_command():
     said = {name: call_text(read(name, values)) for name, values in GOOD.items()}
     assert said["stop"] == "plate stop"
     assert said["learn_plate"] == "ros2 service call /detector/learn_plate std_srvs/srv/Trigger"

@@ -118,7 +118,7 @@ def test_what_is_no_recorded_run_is_refused(tmp_path, bag):
         file.touch()
 
 
-def test_a_damaged_record_is_told(replay, monkeypatch):
+def test_a_damaged_record_is_reported(replay, monkeypatch):
     def messages(*wanted):
         raise rosbag2.ReaderError("truncated record")
         yield

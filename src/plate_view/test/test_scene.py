@@ -61,7 +61,7 @@ def test_parts_and_how_sure_they_are():
     assert not first["turns"]
 
 
-def test_what_is_asked_of_parts():
+def test_requests_for_parts_are_shown():
     targets = Targets(
         np.array([[0.0, -1], [0.1, 0.1]]), np.array([[0.01, 1], [0.2, 0.2]]),
         np.array([[1.0, 0], [1, 1]]), 0.004,

@@ -103,7 +103,7 @@ def test_a_browser_that_sends_too_much_is_read_slowly_and_holds_up_no_stop(
     assert paused.count(1 / module.COMMANDS_PER_S) == 3
 
 
-def test_connections_that_say_nothing_keep_nobody_out(server, taken, monkeypatch):
+def test_idle_connections_do_not_block_others(server, taken, monkeypatch):
     monkeypatch.setattr(module, "MAX_REQUESTS", 5)
     silent = [socket.create_connection(("127.0.0.1", server.port)) for _ in range(8)]
     for each in silent[5:]:

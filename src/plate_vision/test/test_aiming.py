@@ -92,7 +92,7 @@ def turned(focus, values, blur_px=np.nan):
     return focus
 
 
-def test_the_trend_tells_falling_from_rising():
+def test_the_trend_distinguishes_falling_from_rising():
     focus = turned(Focus(), [0.20] * 8, 1.0)
     assert focus.trend == "steady"
     assert focus.finding.level == Level.OK
@@ -240,7 +240,7 @@ def take(pictures, image):
     return pictures.shown(board, corners)
 
 
-def test_pictures_for_the_lens_differ_and_say_what_is_missing():
+def test_pictures_for_the_lens_differ_and_missing_ones_are_reported():
     pictures = LensPictures(BOARD, (640, 480))
     assert pictures.missing[0] == "hold it in the top left corner"
     assert take(pictures, np.full((480, 640), 150, np.uint8))[1] == "the board is not detected"
@@ -273,7 +273,7 @@ def test_a_tilt_is_named_by_the_side_that_is_nearer():
         assert pictures.tilts == {side}
 
 
-def test_ten_pictures_tell_the_lens():
+def test_ten_pictures_determine_the_lens():
     pictures = LensPictures(BOARD, (640, 480))
     for pose in POSES:
         for _ in range(2):

@@ -90,7 +90,7 @@ def test_an_image_on_the_way_to_the_prediction_or_beyond(ways):
 
 
 @pytest.mark.parametrize("at", [0.0, -1.0])
-def test_an_old_prediction_tells_nothing(at):
+def test_an_old_prediction_is_ignored(at):
     tracker = update(Tracker(), -T, ROW, ["grey"] * 6)
     tracker = update(tracker, 0.0, ROW, ["grey"] * 6)
     moved = update(tracker, T, ROW + STEP, ["grey"] * 6, expected=expecting(tracker, at, STEP))
@@ -141,7 +141,7 @@ def test_a_class_misread_in_the_first_image_is_put_right_soon():
     assert tracker.parts.ids == ("black_1",)
 
 
-def test_classes_tell_apart_what_places_do_not():
+def test_classes_distinguish_parts_that_places_do_not():
     """Two parts of two classes exchange places: both would have to be misclassified."""
     tracker = update(Tracker(), 0.0, ROW[:2], ["black", "grey"])
     assert update(tracker, T, ROW[1::-1], ["black", "grey"]).parts.ids == ("black_1", "grey_1")
@@ -150,7 +150,7 @@ def test_classes_tell_apart_what_places_do_not():
 
 
 @pytest.mark.parametrize(("symmetry", "turned"), [(1, 0.0), (2, np.pi), (6, np.pi / 3)])
-def test_angles_tell_apart_what_places_do_not(symmetry, turned):
+def test_angles_distinguish_parts_that_places_do_not(symmetry, turned):
     """Two bars are as near to the one's place as to the other's; by their angles they are known."""
     place, angle = np.array([[0.0, 0.0], [0.0, 0.02]]), np.array([0.0, 0.5 * np.pi / symmetry])
     known, alike = np.array([SURE, SURE]), np.array([symmetry] * 2)
@@ -165,7 +165,7 @@ def test_angles_tell_apart_what_places_do_not(symmetry, turned):
         assert max(abs(t.spin) for t in tracks) < 0.3
 
 
-def test_angles_of_discs_tell_nothing():
+def test_angles_of_discs_are_ignored():
     place, quality = ROW[:2], np.array([SURE, SURE])
     tracker = update(Tracker(), 0.0, place, ["disc"] * 2, np.zeros(2), quality, np.zeros(2, int))
     after = update(
@@ -183,7 +183,7 @@ def test_wrong_measurements_are_refused(name, value):
         update(Tracker(), 0.0, ROW[:2], ["grey"] * 2, **{name: np.array(value)})
 
 
-def test_ids_that_were_given_up_are_told():
+def test_ids_that_were_given_up_are_reported():
     tracker = update(Tracker(TrackerOptions(max_missed=1)), 0.0, ROW[:2], ["grey"] * 2)
     reported = []
     for k in range(1, 4):

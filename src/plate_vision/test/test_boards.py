@@ -118,7 +118,7 @@ def test_lenses_of_other_models_are_found(model, bend, make_scene, rng):
     assert np.abs(back - grid.reshape(-1, 2)).max() < 0.25
 
 
-def test_a_rational_lens_has_as_many_values_as_the_pictures_tell(make_scene):
+def test_a_rational_lens_has_as_many_values_as_the_pictures_determine(make_scene):
     """Of these pictures all eight would leave a pole inside the image: it is folded nowhere."""
     rng = np.random.default_rng(20261121)
     bend = [0.25, 0.05, 1e-3, -5e-4, 0.0, 0.6, 0.05, 0.0]
@@ -218,7 +218,7 @@ def test_corners_of_half_covered_boards(make_scene, rng):
     assert find_board(np.full_like(image, 200), CHESS)[1] is None
 
 
-def test_what_tells_no_lens_is_refused(rng):
+def test_pictures_that_determine_no_lens_are_refused(rng):
     which = np.arange(len(CHESS.corners))
     flat = [(which, 60 + 12000 * CHESS.corners[:, :2] * 0.1 + k) for k in range(8)]
     with pytest.raises(CalibrationError, match="allowed: "):

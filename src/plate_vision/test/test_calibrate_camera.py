@@ -157,7 +157,7 @@ def test_markers_and_home(make_plate, rng, tmp_path, capsys):
     assert "9.png: 1280 x 960 px, allowed: 640 x 480 px" in capsys.readouterr().err
 
 
-def test_the_size_of_a_board_is_asked_for(capsys):
+def test_the_size_of_a_board_is_required(capsys):
     for text in ("9", "9x", "nine"):
         with pytest.raises(SystemExit):
             main(["board", "--board", text, "--square", "0.03"])
@@ -193,7 +193,7 @@ def test_the_size_of_a_board_is_asked_for(capsys):
         ("board.sheet: cannot be written", ["board", *BOARD, "--out", "board.sheet"]),
     ],
 )
-def test_what_is_wrong_is_told_in_one_line(words, arguments, tmp_path, monkeypatch, capsys):
+def test_errors_are_reported_in_one_line(words, arguments, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     odd = Path("odd")
     odd.mkdir()

@@ -74,7 +74,7 @@ def test_scale_is_that_of_small_areas(points):
     assert np.allclose(calibration.scale(points), np.sqrt(area), rtol=1e-5)
 
 
-def test_lens_bends_as_the_model_says(rng):
+def test_lens_bends_as_in_the_model(rng):
     """Brown and Conrady's formula, as in OpenCV's and sensor_msgs/CameraInfo's definition."""
     straight = rng.uniform([0, 0], [640, 480], (100, 2))
     k1, k2, p1, p2, k3 = LENS.distortion

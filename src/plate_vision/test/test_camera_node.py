@@ -221,7 +221,7 @@ def test_a_silent_pipe_is_named(start, tmp_path):
     start(device=tmp_path / "pipe", **SIZE).report("s; check that a program writes frames")
 
 
-def test_an_error_of_a_library_is_told_and_images_go_on(start, camera):
+def test_an_error_of_a_library_is_reported_and_images_continue(start, camera):
     graph = start(camera, device=camera.path, **SIZE)
     shown(graph, camera)
 
@@ -274,7 +274,7 @@ def test_a_device_that_cannot_be_used_ends_the_start(start, camera):
         start(camera, device=camera.path, **SIZE)
 
 
-def test_after_a_rest_the_device_is_opened_anew(start, camera):
+def test_after_a_rest_the_device_is_reopened(start, camera):
     graph = start(camera, device=camera.path, **SIZE)
     shown(graph, camera)
     camera.stalled = True
@@ -360,7 +360,7 @@ def test_a_damaged_picture_ends_a_folder(start, tmp_path, draw, rng):
     assert [text for text in graph.notes if " is " in text] == ["image 1 is 0.png"]
 
 
-def test_the_detector_tells_what_each_photograph_holds(start, tmp_path, draw, rng):
+def test_the_detector_reports_the_content_of_each_photograph(start, tmp_path, draw, rng):
     path = folder(tmp_path, draw, rng)
     graph = start(device=path, rate=50.0, detector={"photographs": True}, listen=False)
     parts = []

@@ -78,7 +78,7 @@ def star(corners, reach, depth):
     ("corners", "reach", "depth", "blur"),
     [(5, 0.01, 0.15, 0.7), (8, 0.01, 0.1, 0.7), (16, 0.012, 0.15, 1.5), (16, 0.008, 0.15, 1.5)],
 )
-def test_angles_are_as_uncertain_as_they_say(draw_types, corners, reach, depth, blur):
+def test_angles_have_the_stated_uncertainty(draw_types, corners, reach, depth, blur):
     rng = np.random.default_rng(13)
     types = {"star": star(corners, reach, depth)}
     catalogue, errors = make_catalogue(types), []
@@ -94,7 +94,7 @@ def test_angles_are_as_uncertain_as_they_say(draw_types, corners, reach, depth, 
     assert 0.2 < np.sqrt(np.mean(np.square(errors))) < 1.5
 
 
-def test_what_the_camera_cannot_tell_is_said():
+def test_indistinguishable_types_are_reported():
     calibration = calibrate_by_scale(SCALE)
     assert camera_limits(TYPES, calibration) == []
     (text,) = camera_limits({"star": star(16, 0.006, 0.1)}, calibration)
@@ -109,7 +109,7 @@ def test_what_the_camera_cannot_tell_is_said():
     assert camera_limits(coins, calibrate_by_scale(2 * SCALE)) == []
 
 
-def test_head_and_tail_of_a_screw_are_told_apart(draw_types, catalogue):
+def test_head_and_tail_of_a_screw_are_distinguished(draw_types, catalogue):
     rng = np.random.default_rng(5)
     poses = scatter(["screw"] * 20, rng)
     found = find_parts(draw_types(TYPES, poses, rng, blur=1.5), catalogue)

@@ -262,7 +262,7 @@ def test_a_film(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["none.png", "empty", "damaged.png", "notes.txt"])
-def test_what_cannot_be_read_is_told(tmp_path, name):
+def test_unreadable_files_are_reported(tmp_path, name):
     (tmp_path / "empty").mkdir()
     for file in ("damaged.png", "notes.txt"):
         (tmp_path / file).write_text("no picture", encoding="utf-8")

@@ -140,7 +140,7 @@ def test_a_trigger_takes_the_place_of_the_rate():
         ({"device": "genicam:x.cti#18"}, "no such device; available cameras: 17"),
     ],
 )
-def test_what_the_camera_cannot_do_is_said_with_what_it_can(settings, words):
+def test_unsupported_settings_of_the_camera_are_reported_with_supported_ones(settings, words):
     maker = Maker()
     with pytest.raises(CameraError, match=words):
         opened(maker, **settings)

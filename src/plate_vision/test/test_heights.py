@@ -156,7 +156,7 @@ def test_reported_scatter_has_what_an_unknown_height_costs():
     assert np.median(flat["place_sd"]) < 0.05e-3
 
 
-def test_heights_say_nothing_if_the_cameras_place_is_not_known():
+def test_heights_are_ignored_if_the_cameras_place_is_unknown():
     assert errors(0.003, 0.003, place=None) == pytest.approx(errors(0.003, 0.0), abs=1e-6)
 
 

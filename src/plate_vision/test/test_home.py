@@ -169,7 +169,7 @@ def test_rigid_fit_is_the_least(rng):
     assert error == pytest.approx(np.sqrt(2 * best.cost / 16), rel=1e-9)
 
 
-def test_markers_are_told_apart(rng):
+def test_markers_are_distinguished(rng):
     image = np.full((300, 400), 200, np.uint8)
     for k, (x, y) in enumerate([(30, 40), (150, 40), (270, 40), (30, 180), (150, 180)]):
         image[y : y + 72, x : x + 72] = draw_marker("5X5_100", 10 + k // 2 * 2, 72)

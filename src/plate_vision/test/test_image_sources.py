@@ -78,14 +78,14 @@ def test_the_exposure_in_force_counts_where_none_is_given(make):
     assert opened.source.state()["exposure_us"] == "25000"
 
 
-def test_uvcvideo_stamps_the_start_though_it_refuses_to_say_so(make):
+def test_uvcvideo_stamps_the_start_without_reporting_it(make):
     opened = make(driver="uvcvideo", exposure_us=2000.0).opened()
     assert opened.frame().instant == pytest.approx(999.98)
     assert opened.source.state()["stamp"] == "start of exposure"
 
 
 @pytest.mark.parametrize("age_s", [1000.0, -3.0, 1000.0 - 1.7e9])
-def test_stamps_of_another_clock_are_not_believed_and_it_is_said_once(make, age_s):
+def test_stamps_of_another_clock_are_rejected_and_reported_once(make, age_s):
     """Such as 0, or the time of day."""
     opened = make(exposure_us=2000.0).opened()
     frames = [opened.frame(age_s) for _ in range(3)]
@@ -122,7 +122,7 @@ def test_what_is_automatic_is_off_and_what_is_given_is_set(make):
         ({"rate": 90.0}, "rate is 90 images per second at 64 x 48 px, allowed .*: 60 with GREY"),
     ],
 )
-def test_what_the_device_cannot_do_is_said_with_what_it_can(make, settings, words):
+def test_unsupported_settings_of_the_device_are_reported_with_supported_ones(make, settings, words):
     refused = make(**settings)
     with pytest.raises(CameraError, match=words):
         refused.opened()
@@ -226,7 +226,7 @@ def test_jpeg_frames(make):
         unpack_frame(data[:200], "MJPG", (64, 48))
 
 
-def test_the_list_tells_formats_sizes_rates_and_controls(tmp_path, monkeypatch):
+def test_the_list_shows_formats_sizes_rates_and_controls(tmp_path, monkeypatch):
     camera = FakeCamera(tmp_path / "video0")
     monkeypatch.setattr("plate_vision.image_sources.sources.V4l2Device", camera.device)
     lines = list(listing([str(camera.path)]))

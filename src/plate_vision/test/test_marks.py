@@ -45,7 +45,7 @@ def rows(found, centre):
 
 
 @pytest.mark.parametrize("shading", ["flat", "vignette"])
-def test_a_mark_tells_the_angle_and_leaves_the_centre_alone(draw, corners_px, rng, shading):
+def test_a_mark_determines_the_angle_and_does_not_move_the_centre(draw, corners_px, rng, shading):
     turned, off = [], []
     for _ in range(4):
         centre, label, angle = scattered(rng)
@@ -62,7 +62,7 @@ def test_a_mark_tells_the_angle_and_leaves_the_centre_alone(draw, corners_px, rn
     assert np.sqrt(np.mean(np.square(off))) < 0.05  # 0.03 without marks
 
 
-def test_marks_scatter_as_it_says(draw, rng):
+def test_marks_have_the_stated_deviation(draw, rng):
     vision = make_vision(load_rig())
     centre, label, angle = scattered(rng)
     tracker = observe(
@@ -81,7 +81,7 @@ def test_discs_without_a_mark_have_no_angle(draw, corners_px, rng):
 
 
 @pytest.mark.parametrize(("place", "size"), [(0.0, 0.3), (0.5, 0.1), (0.9, 0.3)])
-def test_what_is_no_mark_tells_no_angle(draw, corners_px, rng, place, size):
+def test_spots_that_are_no_mark_give_no_angle(draw, corners_px, rng, place, size):
     """A spot in the middle, a speck, a bite out of the rim."""
     centre, label, angle = scattered(rng)
     extra = marks(centre, label, angle, place, size)

@@ -26,7 +26,7 @@ def test_reset_forgets_all_parts(graph, draw, rng):
     assert names(graph.answer(image(one[1], 1.2))) == ["grey_1"]
 
 
-def test_part_forces_tell_which_part_is_which(graph, draw, rng):
+def test_part_forces_identify_the_parts(graph, draw, rng):
     """A row moves on by its own spacing; without the prediction it seems to rest, and one to be
     gone at one end and another new at the other."""
     row = np.array([[150.0, 240.0], [185.0, 240.0], [220.0, 240.0]])

@@ -86,7 +86,7 @@ def test_compressed_images(draw, rng):
 
 @pytest.mark.parametrize("kind", ["raw", "compressed"])
 @pytest.mark.parametrize("bits", [10, 12])
-def test_images_of_fewer_bits_than_are_said_name_the_parameter(draw, rng, kind, bits):
+def test_images_of_fewer_bits_than_declared_name_the_parameter(draw, rng, kind, bits):
     """If a camera sends 12 bits in 16-bit numbers, the warning names `bits`, not only the light."""
     frame = draw(CENTRE_PX, LABEL, rng, radius=7.9).astype("<u2") << (bits - 8)
     graph = Graph(image_transport=kind)
@@ -147,7 +147,7 @@ def test_each_image_needs_a_stamp_of_its_own(graph, draw, rng):
     assert "stamp is 0.000 s, equal to that of the last image, allowed: " in graph.warnings[-1]
 
 
-def test_one_image_that_comes_late_ends_no_ids_but_time_may_begin_anew(graph, draw, rng):
+def test_one_late_image_ends_no_ids_but_time_may_restart(graph, draw, rng):
     both = draw(CENTRE_PX, ["grey", "grey"], rng, radius=7.9)
     second = draw(CENTRE_PX[1:], ["grey"], rng, radius=7.9)
     graph.answer(image(both, 5.0))

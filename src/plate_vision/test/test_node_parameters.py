@@ -33,6 +33,6 @@ def test_wrong_parameters_are_refused_at_start(name, value):
 
 
 @pytest.mark.parametrize("name", ["source", "path", "rate"])
-def test_parameters_of_earlier_versions_say_where_pictures_come_from_now(name):
+def test_parameters_of_earlier_versions_name_their_replacements(name):
     with pytest.raises(PlateError, match=rf"{name} of detector was .*plate_vision camera "):
         Graph(**{name: "file"})

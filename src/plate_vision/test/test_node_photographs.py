@@ -60,7 +60,7 @@ def test_photographs_of_another_size_show_the_whole_plate():
         graph.close()
 
 
-def test_parts_of_another_size_than_the_rig_says(draw, rng):
+def test_parts_of_another_size_than_in_the_rig(draw, rng):
     place = np.array([[200.0, 200], [300, 220], [400, 240], [450, 300]])
     large = draw(place, ["black"] * 3 + ["grey"], rng, radius=12.0)
     empty = draw(np.zeros((0, 2)), [], rng)

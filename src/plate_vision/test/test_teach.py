@@ -103,7 +103,7 @@ def test_a_box_picks_the_part_that_its_centre_is_on(draw_types):
             learn_type("bar", [Example(scene, box)], HOME)
 
 
-def test_what_cannot_be_learned_says_why(draw_types):
+def test_failed_lessons_report_why(draw_types):
     bare = picture(draw_types, "nut", 6, count=0)
     nuts, coins = (
         Example(picture(draw_types, name, 7), name=name) for name in ("nut", "coin_large")
@@ -123,7 +123,7 @@ def test_what_cannot_be_learned_says_why(draw_types):
         learn_type("Nut", [nuts], HOME)
 
 
-def test_what_makes_a_type_hard_to_know_is_said(draw_types):
+def test_causes_of_poor_recognition_are_reported(draw_types):
     sharp = picture(draw_types, "nut", 12)
     assert learn_type("nut", [Example(sharp)], HOME).warnings == ()
     (warning,) = learn_type("nut", [Example(cv2.GaussianBlur(sharp, (0, 0), 4))], HOME).warnings
@@ -322,7 +322,7 @@ def test_parts_are_marked_in_pictures_of_any_size_and_one_scale(tmp_path, monkey
         (["list", "--out", "no.yaml"], "no.yaml"),
     ],
 )
-def test_what_is_wrong_is_said_in_one_line(folder, capsys, words, message):
+def test_errors_are_reported_in_one_line(folder, capsys, words, message):
     with pytest.raises(SystemExit) as end:
         main([*words, *(["--rig", str(config_path("rig.yaml"))] if words[0] == "nut" else [])])
     assert end.value.code == 2
@@ -350,7 +350,7 @@ def test_side_faces_are_not_learned_and_the_height_stays(rng, tmp_path):
 
 
 @pytest.mark.parametrize(("height", "given", "warns"), [(8, 0, 1), (8, 8, 0), (0, 0, 0)])
-def test_a_height_that_is_not_given_is_asked_for(height, given, warns, rng):
+def test_a_missing_height_is_requested(height, given, warns, rng):
     """Cylinders of a height [mm] at three places show side faces of three lengths."""
     look = Look(distance=0.43, focal_px=430.0)
     vision = make_vision(look.rig(radius=0.012))

@@ -221,7 +221,7 @@ def test_same_stamp_gives_the_same_answer():
     assert again.parts.velocity.tolist() == tracker.parts.velocity.tolist() != [[0, 0]]
 
 
-def test_earlier_stamp_starts_anew():
+def test_earlier_stamp_restarts_tracking():
     tracker = update(Tracker(), 5.0, [[0.0, 0.0], [0.1, 0.0]], ["grey", "grey"])
     tracker = update(tracker, 5.05, [[0.1, 0.0]], ["grey"])
     assert tracker.parts.ids == ("grey_2",)

@@ -67,7 +67,7 @@ def test_another_size_is_refused(vision, draw, rng, shape):
 
 @pytest.mark.parametrize("noise", [1.0, 2.0, 4.0])
 @pytest.mark.parametrize("gap_px", [0.0, 20.0])
-def test_parts_scatter_as_it_says(vision, draw, rng, noise, gap_px):
+def test_parts_have_the_stated_deviation(vision, draw, rng, noise, gap_px):
     """Within a factor of three, whatever the light: 48 parts, in pairs that touch or do not."""
     grid = np.stack(np.meshgrid(np.linspace(80, 560, 8), (150.0, 240.0, 330.0)), axis=-1)
     centre = grid.reshape(-1, 2) + rng.uniform(-3, 3, (24, 2))
