@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 from plate_core import load_rig
-from stages.trust import OURS, RIDES, creep_rows, neglected
+from stages.trust import PROJECT, RIDES, creep_rows, neglected
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = (ROOT / "docs/guide/trust.md").read_text(encoding="utf-8")
@@ -28,6 +28,6 @@ def test_the_estimates_on_the_page_are_those_of_the_rig():
 
 
 def test_parts_that_friction_holds_do_not_creep():
-    rows = creep_rows(OURS, 1.0)
+    rows = creep_rows(PROJECT, 1.0)
     assert len(rows) == 3
     assert max(row[scene] for row in rows for scene in RIDES) < 1e-9

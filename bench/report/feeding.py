@@ -5,10 +5,10 @@ from __future__ import annotations
 
 from report.axis import Axis
 from report.chart import Drawn
-from report.panels import BASELINE, OURS, SECOND, Panels, Row, Style, by
+from report.panels import BASELINE, PROJECT, SECOND, Panels, Row, Style, by
 
 STYLES = {
-    "ours": Style("this project, part by part", OURS, "o"),
+    "ours": Style("this project, part by part", PROJECT, "o"),
     "vibrated": Style("baseline: vibrated in the plane", BASELINE, "s"),
     "thrown": Style("idealised baseline: thrown", SECOND, "D"),
 }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from report.axis import Axis
 from report.chart import Drawn, column
-from report.panels import BASELINE, LIMIT, OURS, SECOND, THIRD, Panels, Row, Style, by
+from report.panels import BASELINE, LIMIT, PROJECT, SECOND, THIRD, Panels, Row, Style, by
 
 MIN_ERROR = 1e-11
 """Minimum drawn error [mu mg]. Smaller errors are rounding errors, and are drawn at this value."""
@@ -32,7 +32,7 @@ def force_map(rows: list[Row]) -> Drawn:
         )  # fmt: skip
         best = next(r for r in mine if r["method"] == name)
         others = [r for r in mine if r is not best]
-        for r, colour, marker in zip([best, *others], (OURS, *COLOURS), "osD^vx", strict=False):
+        for r, colour, marker in zip([best, *others], (PROJECT, *COLOURS), "osD^vx", strict=False):
             style = Style(r["method"], colour, marker)
             panel.points([r], "us", "p99", style, note="median error {median:.3g}")
         panel.rule("required", y=MAX_P99)
@@ -59,7 +59,7 @@ def learning(rows: list[Row]) -> Drawn:
         "Error of realised harmonics", Axis("experiments", ticks=ticks), Axis("error [%]", log=True)
     )
     panel.points(rows, "iteration", "most", Style("maximum over the cycles", SECOND, "s", "--"))
-    panel.points(rows, "iteration", "median", Style("median", OURS, "o", "-"))
+    panel.points(rows, "iteration", "median", Style("median", PROJECT, "o", "-"))
     panel.rule("2 %", y=2, colour=LIMIT)
     first, last = rows[0], rows[-1]
     return Drawn(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from harness import shown
 from report.axis import Axis
 from report.chart import Drawn, column, parts
-from report.panels import FAINT, LIMIT, OURS, SECOND, Panels, Row, Style, by
+from report.panels import FAINT, LIMIT, PROJECT, SECOND, Panels, Row, Style, by
 from report.solver import METHODS
 from tasks.free_running import ALLOWED_MM
 
@@ -90,7 +90,7 @@ def cameras(rows: list[Row]) -> Drawn:
             Axis("tracking error, RMS [mm]", log=True),
         )  # fmt: skip
         panel.points(
-            mine, "x", "rms_mm", Style("median", OURS, "o", "-"), hollow=not_all, note=ENDED
+            mine, "x", "rms_mm", Style("median", PROJECT, "o", "-"), hollow=not_all, note=ENDED
         )
         worst = Style("worst run", FAINT, "o", ":")
         panel.points(mine, "x", "worst_rms_mm", worst, hollow=not_all, note=ENDED)

@@ -6,15 +6,15 @@ from __future__ import annotations
 from harness import shown
 from report.axis import Axis
 from report.chart import Drawn
-from report.panels import BASELINE, OURS, SECOND, THIRD, Panels, Row, Style, by
+from report.panels import BASELINE, PROJECT, SECOND, THIRD, Panels, Row, Style, by
 
-COLOURS = (OURS, BASELINE, SECOND, THIRD, "#8a6d00")
+COLOURS = (PROJECT, BASELINE, SECOND, THIRD, "#8a6d00")
 """Colours of scenes."""
 
 STYLES = {
     method: Style(name, colour, marker, "-")
     for method, name, colour, marker in (
-        ("one model", "finite parts, in steps", OURS, "o"),
+        ("one model", "finite parts, in steps", PROJECT, "o"),
         ("by events", "reference, by events", SECOND, "s"), ("pymunk", "pymunk", BASELINE, "D"),
     )
 }  # fmt: skip

@@ -13,7 +13,7 @@ from report.axis import Axis, edges
 
 Row = dict[str, Any]
 
-OURS, BASELINE, SECOND, THIRD, FAINT, LIMIT = (
+PROJECT, BASELINE, SECOND, THIRD, FAINT, LIMIT = (
     "#0b5f8a", "#c4560b", "#2e7d4a", "#7d4f9e", "#767676", "#b02a37",
 )  # fmt: skip
 """Colours: the project's default, the baselines, the project's second and third variants, notes,
@@ -66,7 +66,7 @@ class Style(NamedTuple):
     """
 
     name: str
-    colour: str = OURS
+    colour: str = PROJECT
     marker: str = "o"
     line: str = ""
 

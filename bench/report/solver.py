@@ -7,7 +7,7 @@ import numpy as np
 from harness import shown
 from report.axis import Axis
 from report.chart import Data, Drawn, Sheet, column, parts
-from report.panels import BASELINE, OURS, SECOND, Panels, Row, Style, by
+from report.panels import BASELINE, PROJECT, SECOND, Panels, Row, Style, by
 
 MIN_ERROR = 1e-11
 """Minimum drawn error [mu mg]. Smaller errors are rounding errors, and are drawn at this value."""
@@ -15,7 +15,7 @@ MIN_ERROR = 1e-11
 MAX_ERROR = 1e-4
 """Maximum error of a force with which a request counts as met [mu mg]."""
 
-METHODS = {"sinusoids": Style("B: sinusoids", OURS), "rotations": Style("A: rotations", SECOND)}
+METHODS = {"sinusoids": Style("B: sinusoids", PROJECT), "rotations": Style("A: rotations", SECOND)}
 """Appearance of both methods."""
 
 
@@ -31,7 +31,7 @@ def solver(rows: list[Row]) -> Drawn:
     styles = {
         "RotationSolver": Style("A: RotationSolver", SECOND, "s"),
         "scipy lm": Style("scipy least_squares (lm)", BASELINE, "x"),
-        "SinusoidSolver": Style("B: SinusoidSolver", OURS, "o"),
+        "SinusoidSolver": Style("B: SinusoidSolver", PROJECT, "o"),
     }
     groups, panels = by(rows, "parts", "method"), Panels()
     counts = sorted(by(rows, "parts"))
@@ -67,9 +67,9 @@ def options(rows: list[Row]) -> Drawn:
     """Return the chart of the simulated error against the solution time, for all options of both
     methods and for scipy."""
     styles = {
-        ("B", "restarts"): Style("B: sinusoids, increasing restarts", OURS, "o", "-"),
+        ("B", "restarts"): Style("B: sinusoids, increasing restarts", PROJECT, "o", "-"),
         ("A", "restarts"): Style("A: rotations, increasing restarts", SECOND, "s", "-"),
-        ("B", "paper"): Style("B on the paper's map", OURS, "v"),
+        ("B", "paper"): Style("B on the paper's map", PROJECT, "v"),
         ("A", "paper"): Style("A on the paper's map", SECOND, "^"),
         ("scipy, our derivatives", ""): Style("scipy, exact derivatives", BASELINE, "D", "-"),
         ("scipy, own differences", ""): Style("scipy, finite differences", BASELINE, "x", "--"),

@@ -7,7 +7,7 @@ from plate_sim.friction import TOLERANCE
 from plate_sim.world import STEP
 from report.axis import Axis
 from report.chart import Data, Drawn, Sheet, column, table
-from report.panels import BASELINE, FAINT, LIMIT, OURS, SECOND, THIRD, Panels, Row, Style, by
+from report.panels import BASELINE, FAINT, LIMIT, PROJECT, SECOND, THIRD, Panels, Row, Style, by
 
 MIN_MM = 1e-12
 """Minimum drawn error [mm]. Smaller errors are rounding errors, and are drawn at this value."""
@@ -16,9 +16,9 @@ DEFAULT_TOLERANCE = f"{TOLERANCE:g} m"
 """Default setting of the simulator."""
 
 SIMULATORS = {
-    "by events": Style("points, by events", OURS),
+    "by events": Style("points, by events", PROJECT),
     "in steps": Style("points, in steps", SECOND, "s"),
-    "plate_sim": Style("discs", OURS), "bodies": Style("rotating bodies", SECOND, "s"),
+    "plate_sim": Style("discs", PROJECT), "bodies": Style("rotating bodies", SECOND, "s"),
     "pymunk": Style("pymunk", BASELINE, "D"), "MuJoCo": Style("MuJoCo", THIRD, "^"),
     "scipy RK45": Style("scipy", FAINT, "x"),
 }  # fmt: skip
@@ -113,7 +113,7 @@ def cost(rows: list[Row]) -> Drawn:
         Axis("median time for one image [ms]", log=True),
     )  # fmt: skip
     for key, *style in (
-        ("solver", "solver", OURS, "o", "-"), ("vision", "vision", BASELINE, "s", "-"),
+        ("solver", "solver", PROJECT, "o", "-"), ("vision", "vision", BASELINE, "s", "-"),
         ("driver", "driver", SECOND, "D", "-"), ("planner", "planner", THIRD, "^", "-"),
         ("simulator", "simulator", FAINT, "v", ":"), ("camera", "camera", FAINT, "x", "--"),
         ("answer", "image to setpoints", "#111111", "", "-"),
@@ -124,7 +124,7 @@ def cost(rows: list[Row]) -> Drawn:
         "The simulator", Axis("parts", log=True), Axis("CPU time for 1 s [s]", log=True)
     )
     for key, *style in (
-        ("by events", "points, by events", OURS, "o", "-"),
+        ("by events", "points, by events", PROJECT, "o", "-"),
         ("in steps", "parts, in steps", SECOND, "s", "-"),
         ("pymunk", "pymunk, 1 ms", BASELINE, "x", "-"),
     ):
@@ -147,7 +147,10 @@ def span(rows: list[Row], key: str) -> str:
 
 def vision(rows: list[Row]) -> Drawn:
     """Return the chart of error against time for finding discs, with a panel for each scene."""
-    colours, methods = (OURS, BASELINE, SECOND, THIRD, "#8a6d00", LIMIT), list(by(rows, "method"))
+    colours, methods = (
+        (PROJECT, BASELINE, SECOND, THIRD, "#8a6d00", LIMIT),
+        list(by(rows, "method")),
+    )
     styles = {
         name: Style(name, *style) for name, *style in zip(methods, colours, "osD^vx", strict=False)
     }

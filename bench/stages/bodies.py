@@ -35,13 +35,13 @@ TRUE_CELLS, BASELINE_CELLS = (24, 48), (8, 16)
 STEPS_MS = (1.0, 0.5, 0.2, 0.1, 0.05, 0.02)
 TOLERANCES = (1e-3, 1e-4, 1e-5)
 
-OURS, BASELINE = "bodies", "scipy RK45"
+PROJECT, BASELINE = "bodies", "scipy RK45"
 
 
 def measure(quick: bool) -> Result:
     """Simulate the disc with several settings of the project's simulator and of scipy."""
     truth = by_scipy(TRUE_CELLS, "DOP853", 1e-5 if quick else 1e-8)
-    cases = [(OURS, f"{ms:g} ms", partial(by_steps, ms)) for ms in STEPS_MS]
+    cases = [(PROJECT, f"{ms:g} ms", partial(by_steps, ms)) for ms in STEPS_MS]
     for tolerance in TOLERANCES[:1] if quick else TOLERANCES:
         run = partial(by_scipy, BASELINE_CELLS, "RK45", tolerance)
         cases.append((BASELINE, f"rtol {tolerance:g}", run))

@@ -42,7 +42,7 @@ CHECK_SAMPLES = 6007
 a multiple of any method's number of samples. Therefore errors between the samples of a method are
 visible too."""
 
-OURS, BASELINE, ROTATIONS = METHODS = "SinusoidSolver", "scipy lm", "RotationSolver"
+PROJECT, BASELINE, ROTATIONS = METHODS = "SinusoidSolver", "scipy lm", "RotationSolver"
 """Methods. scipy is least_squares(method='lm') with the project's Jacobian on the same samples,
 from random starts, with the same final steps on fine samples. The times of the project's solvers
 include the computation of the final PlateCycle within the rig's limits. For RotationSolver, they
@@ -76,7 +76,7 @@ def solve_all(rig: Rig, parts: int, count: int) -> list[dict[str, Any]]:
         ours.reset()
         rotations.reset()
         baseline.reset()
-        for method, solver in ((OURS, ours), (BASELINE, baseline), (ROTATIONS, rotations)):
+        for method, solver in ((PROJECT, ours), (BASELINE, baseline), (ROTATIONS, rotations)):
             if method == ROTATIONS and index and index % ROTATION_STRIDE != 1:
                 continue
             answer, seconds = timed(solver.solve, position, force)

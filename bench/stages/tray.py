@@ -21,7 +21,7 @@ from stages.mujoco_scene import MujocoScene
 from stages.pymunk_scene import PymunkScene
 from stages.scenes import CYCLES, FREQUENCY, GRAVITY, MU, MU_G, Scene, exact_cycle
 
-OURS, PYMUNK, MUJOCO = "plate_sim", "pymunk", "MuJoCo"
+PROJECT, PYMUNK, MUJOCO = "plate_sim", "pymunk", "MuJoCo"
 
 RIG = load_rig()
 RADIUS, HALF = RIG.parts.radius_m, RIG.plate.half
@@ -130,22 +130,22 @@ def disc_rows(tray: Scene, quick: bool) -> list[dict[str, Any]]:
             RADIUS, HALF,
         ),
     }  # fmt: skip
-    cases = [(OURS, n) for n in dict.fromkeys((*steps, own))]
+    cases = [(PROJECT, n) for n in dict.fromkeys((*steps, own))]
     cases += [(PYMUNK, n) for n in steps[::2] if optional(PYMUNK)]
     cases += [
         (MUJOCO, n) for n in steps[:1] if optional("mujoco") and len(tray.position) <= MUJOCO_MAX
     ]
 
     def trace(name: str, n: int) -> np.ndarray:
-        return our_trace(tray, n) if name == OURS else np.asarray(build[name](n).trace())
+        return our_trace(tray, n) if name == PROJECT else np.asarray(build[name](n).trace())
 
     times: dict[tuple[str, int], list[float]] = {case: [] for case in cases}
     for _ in range(1 + (MIN_ROUNDS if quick else 7)):
         for (name, n), spent in times.items():
             if name == MUJOCO and len(spent) > 1:
                 continue  # MuJoCo is timed only once, because MuJoCo is slow
-            run = partial(ours, tray, n) if name == OURS else build[name](n).run
-            repeats = REPEATS if name == OURS else 1
+            run = partial(ours, tray, n) if name == PROJECT else build[name](n).run
+            repeats = REPEATS if name == PROJECT else 1
             began = cpu_time()
             for _ in range(repeats):
                 run()

@@ -94,7 +94,7 @@ def measure(quick: bool) -> Result:
     """Measure creep and tasks, and estimate the neglected effects."""
     there = [method for package, method in BASELINES if optional(package)]
     tables = [
-        Table.of("creep", creep_rows([*OURS, *there], 0.5 if quick else CREEP_S), span=CREEP_S),
+        Table.of("creep", creep_rows([*PROJECT, *there], 0.5 if quick else CREEP_S), span=CREEP_S),
         Table.of("left_out", neglected(load_rig())),
         Table.of("worlds", world_rows(1 if quick else 3)),
     ]
@@ -169,7 +169,7 @@ def in_contact(
     return float(data.qpos[0])
 
 
-OURS: list[Method] = [
+PROJECT: list[Method] = [
     ("plate_sim, point by events", None, by_events),
     ("plate_sim, disc", 1e3 * STEP, partial(in_steps, disc(RADIUS))),
     ("plate_sim, square", 1e3 * STEP, partial(in_steps, SQUARE)),

@@ -18,7 +18,7 @@ from plate_core.rig import homography, project
 from plate_sim import Camera, part_greys
 from plate_vision import detect, make_vision
 
-OURS = "plate_vision.detect"
+PROJECT = "plate_vision.detect"
 
 FRAMES, BASELINE_FRAMES = 250, 20
 """Number of images of each scene: 1000 in total for the project's detector, fewer for the baselines
@@ -101,7 +101,7 @@ def make_finders(rig: Rig) -> dict[str, Finder]:
         return np.array([p.centroid[::-1] for p in parts if p.area > 0.3 * area]).reshape(-1, 2)
 
     return {
-        OURS: ours,
+        PROJECT: ours,
         "findContours + moments": contours,
         "SimpleBlobDetector": blobs,
         "HoughCircles": hough,
@@ -128,7 +128,7 @@ def scene_rows(
     loop, alternating = times_of(finders, images[:BASELINE_FRAMES], 1 if quick else ROUNDS)
     rows = []
     for name, find in finders.items():
-        frames = len(images) if name == OURS else min(BASELINE_FRAMES, len(images))
+        frames = len(images) if name == PROJECT else min(BASELINE_FRAMES, len(images))
         found = [find(image) for image in images[:frames]]
         pairs = [paired(*two, reach) for two in zip(found, truths[:frames], strict=True)]
         errors = np.concatenate([gap for _, _, gap in pairs])
@@ -141,8 +141,8 @@ def scene_rows(
                 "frames": frames,
                 "loop_ms": 1e3 * float(np.median(loop[name])),
                 "turns_ms": 1e3 * float(np.median(alternating[name])),
-                "loop_lead": float(np.median(loop[name]) / np.median(loop[OURS])),
-                "turns_lead": float(np.median(alternating[name] / alternating[OURS])),
+                "loop_lead": float(np.median(loop[name]) / np.median(loop[PROJECT])),
+                "turns_lead": float(np.median(alternating[name] / alternating[PROJECT])),
                 "rms_px": float(np.sqrt(np.mean(errors**2))) if len(errors) else None,
                 "missed_percent": 100 * (1 - len(errors) / true),
                 "false_percent": 100 * (sum(map(len, found)) - len(errors)) / true,

@@ -141,7 +141,7 @@ def unnamed_things(
 
     Parameters
     ----------
-    seen : (n,) `shapes.classes.SIGHTING`
+    seen : (n,) `shapes.classes.DETECTED_OBJECT`
         The detections. Only detections with a class of `NAMELESS` are used.
     on_plate : (n,)
         Whether a detection is on the plate for every motor position, bool. Other detections are not

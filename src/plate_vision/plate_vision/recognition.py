@@ -4,8 +4,8 @@ types, and measure them.
 The image is divided into patches that differ from the bare plate (`segment`). Each patch is
 compared with the catalogue of types (`recognise_under`), and groups of touching parts are separated
 (`explain_groups`). The length of the shadows is estimated from the types. If the segmentation used
-another length of the shadows, the segmentation is repeated. Output: records of the type `SIGHTING`,
-one for each object.
+another length of the shadows, the segmentation is repeated. Output: records of the type
+`DETECTED_OBJECT`, one for each object.
 """
 
 from __future__ import annotations
@@ -108,7 +108,8 @@ def find_types(
     calibration: Calibration,
     region: Region | None = None,
 ) -> np.ndarray:
-    """Find parts of taught types on the plate. Return the records (n,) `SIGHTING` of the parts."""
+    """Find parts of taught types on the plate. Return the records (n,) `DETECTED_OBJECT` of the
+    parts."""
     return find_types_under(image, catalogue, background, calibration, region)[0]
 
 
@@ -164,8 +165,8 @@ def find_types_under(
 def _joined(
     patches: list[Patch], found: np.ndarray, more: list[Patch], again: np.ndarray
 ) -> tuple[list[Patch], np.ndarray]:
-    """Merge the results of two recognitions. `found` (m,) SIGHTING are the records of `patches`,
-    and `again` (k,) SIGHTING are the records of the patches `more`.
+    """Merge the results of two recognitions. `found` (m,) DETECTED_OBJECT are the records of
+    `patches`, and `again` (k,) DETECTED_OBJECT are the records of the patches `more`.
 
     If a patch of the second recognition has a type, this patch replaces those first patches that it
     overlaps. If the patch does not overlap any other patch, it is added.
@@ -183,7 +184,7 @@ def _joined(
 
 @dataclass(frozen=True)
 class _Seen:
-    """The segments of an image, the records (n,) SIGHTING of its patches, and the imaging
+    """The segments of an image, the records (n,) DETECTED_OBJECT of its patches, and the imaging
     conditions that were estimated from these records."""
 
     segments: Segments

@@ -7,7 +7,7 @@ from shown_text import says
 from plate_core.status import Level
 from plate_vision import OVERLOOKED, REASONS
 from plate_vision.overlooked import Expected, OverlookedTally, may_be_parts, unnamed_things
-from plate_vision.shapes.classes import SIGHTING
+from plate_vision.shapes.classes import DETECTED_OBJECT
 
 DISCS = Expected(8e-3, 8e-3)
 
@@ -120,7 +120,7 @@ def test_sightings_of_no_type_are_things():
     rows = [("nut", 8.0, True), ("unknown", 8.0, True), ("unknown", 3.0, True),
             ("unknown", 20.0, True), ("group", 20.0, True), ("unknown", 8.0, False),
             ("unknown", 8.0, True)]  # fmt: skip
-    seen = np.zeros(len(rows), SIGHTING)
+    seen = np.zeros(len(rows), DETECTED_OBJECT)
     for row, (label, radius_px, whole) in zip(seen, rows, strict=True):
         row["label"], row["radius_px"], row["whole"], row["x"] = label, radius_px, whole, 0.1
     on_plate = np.array([True] * 6 + [False])

@@ -259,7 +259,7 @@ class Follower(TaskRules):
         if not now.active:
             found = Assessment()
         else:
-            memory = self._begun(memory, now)
+            memory = self._started(memory, now)
             if memory.leading:
                 return memory, self._approach(memory, now)
             memory, parts = self.measure(memory, now), now.parts
@@ -283,7 +283,7 @@ class Follower(TaskRules):
             pace=memory.pace(now.stamp),
         )
 
-    def _begun(self, memory: FollowMemory | None, now: Situation) -> FollowMemory:
+    def _started(self, memory: FollowMemory | None, now: Situation) -> FollowMemory:
         """Return the memory at the beginning of the task. The task begins again at each image while
         parts move to the starts of their paths, and until the length of a cycle is known."""
         early = memory is None or now.stamp < memory.began - now.period / 2

@@ -38,7 +38,7 @@ def motions_of(number: int, basis: SinusoidBasis, limits: Limits) -> Motions:
     return _kernels.averaged_motions(force_rules(number), basis, limits, FEW_CANDIDATES)
 
 
-class InvertedForces(NamedTuple):
+class InversionResult(NamedTuple):
     """Result of `invert`.
 
     Attributes
@@ -81,7 +81,7 @@ def invert(
     tolerance: float,
     iterations: int,
     tries: int,
-) -> InvertedForces:
+) -> InversionResult:
     """Find a motion with the requested average forces.
 
     If the slip of a part nearly vanishes at two close times, the quadrature of the search may count
@@ -106,7 +106,7 @@ def invert(
     iterations, tries : int
         Maximum number of steps from one start, and maximum number of starts.
     """
-    return InvertedForces(
+    return InversionResult(
         *_kernels.invert(
             warm, pool, position, velocity, force, motions, tolerance, iterations, tries
         )

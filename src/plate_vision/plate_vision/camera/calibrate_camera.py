@@ -202,13 +202,13 @@ class Progress:
     def __init__(self, pictures: Pictures) -> None:
         self._pictures = pictures
         self._changes = pictures.is_film and sys.stderr.isatty()
-        self.count = self._found = 0
+        self.count = self._detected = 0
 
     def searched(self, name: str, corners: int, of: int) -> None:
         """Count a picture with the number of corners that were found in it, and print the
         progress."""
         self.count += 1
-        self._found += corners > 0
+        self._detected += corners > 0
         if not self._pictures.is_film:
             print(f"{name}: {corners} of {of} corners", flush=True)
         elif self._changes:
@@ -227,7 +227,7 @@ class Progress:
         read, count = self._pictures.place, self._pictures.count
         of = f" of {count}" if count >= read else ""
         kind = "frames" if self._pictures.is_film else "pictures"
-        return f"{read}{of} {kind} read, {self.count} searched, board detected in {self._found}"
+        return f"{read}{of} {kind} read, {self.count} searched, board detected in {self._detected}"
 
 
 def _summary(fit: LensFit) -> str:

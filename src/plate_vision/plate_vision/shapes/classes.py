@@ -123,7 +123,7 @@ MIN_NAMED = 3
 MIN_SWELL_PX, MAX_SWELL_PX = 0.3, 1.5
 """Range of the median growth of outlines that is corrected [px]."""
 
-SIGHTING = np.dtype(
+DETECTED_OBJECT = np.dtype(
     [
         ("x_px", "f8"),
         ("y_px", "f8"),
@@ -161,7 +161,7 @@ SIGHTING = np.dtype(
 
 
 def is_named(seen: np.ndarray) -> np.ndarray:
-    """Return which detections (n,) `SIGHTING` have a type, (n,) bool."""
+    """Return which detections (n,) `DETECTED_OBJECT` have a type, (n,) bool."""
     return np.asarray((seen["label"] != UNKNOWN) & (seen["label"] != GROUP))
 
 
@@ -213,7 +213,7 @@ def recognise(
 
     Returns
     -------
-    (n,) SIGHTING
+    (n,) DETECTED_OBJECT
     """
     return recognise_under(image, patches, catalogue, calibration, conditions or Conditions())[0]
 
@@ -251,9 +251,10 @@ def _compared(
     calibration: Calibration,
     conditions: Conditions,
 ) -> np.ndarray:
-    """Return the detections (n,) SIGHTING for patches with these outlines and colours (n, 3)."""
+    """Return the detections (n,) DETECTED_OBJECT for patches with these outlines and colours (n,
+    3)."""
     lamp, background, swell = conditions.lamp, conditions.background, conditions.swell_px
-    found = np.zeros(len(outlines), SIGHTING)
+    found = np.zeros(len(outlines), DETECTED_OBJECT)
     if not len(outlines):
         return found
     found["whole"] = [patch.whole for patch in patches]
@@ -429,7 +430,7 @@ def _evaluate_one(
     hole_check: HoleCheck | None,
     swell: float,
 ) -> None:
-    """Find the type of one patch, and write it to its record `row` () SIGHTING.
+    """Find the type of one patch, and write it to its record `row` () DETECTED_OBJECT.
 
     Each of the following arguments contains one value per type (T,). `outlines` are the patch's
     outlines for the types' heights. `min_score` are the minimum scores. `fit_square` and
@@ -510,7 +511,8 @@ def _final(
     catalogue: Catalogue,
     calibration: Calibration,
 ) -> Conditions:
-    """Return the conditions, measured with those detections (n,) SIGHTING that have a type."""
+    """Return the conditions, measured with those detections (n,) DETECTED_OBJECT that have a
+    type."""
     named = np.flatnonzero(is_named(found) & found["whole"])
     if len(named) < MIN_NAMED:
         return replace(conditions, final=True)
@@ -537,8 +539,8 @@ def _measured(
     shadow. The length of the shadow is the distance by which this outline extends beyond the part,
     whose size is known.
 
-    `named` (m,) are the indices of the detections `found` (n,) SIGHTING that have a type. Blur
-    enlarges outlines on all sides. The growth by blur is measured across the shadows and
+    `named` (m,) are the indices of the detections `found` (n,) DETECTED_OBJECT that have a type.
+    Blur enlarges outlines on all sides. The growth by blur is measured across the shadows and
     subtracted.
     """
     numbers = {one.part.name: j for j, one in enumerate(catalogue.templates)}
@@ -571,8 +573,8 @@ def _measured(
 def note_type(
     row: np.void, part: PartType, fit: np.ndarray, deviation: float, scale: float
 ) -> None:
-    """Write a type to the record `row` () SIGHTING. `fit` (3,) is the part's x, y [m] and angle
-    [rad], and `deviation` is the standard deviation of the angle [rad]."""
+    """Write a type to the record `row` () DETECTED_OBJECT. `fit` (3,) is the part's x, y [m] and
+    angle [rad], and `deviation` is the standard deviation of the angle [rad]."""
     row["label"] = part.name
     row["x"], row["y"] = fit[:2]
     row["angle"], row["angle_sd"] = wrapped(fit[2], part.symmetry), deviation

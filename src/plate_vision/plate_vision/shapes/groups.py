@@ -26,9 +26,9 @@ from .background import steepness
 from .catalogue import Catalogue, Template
 from .classes import (
     COLOUR_LAB,
+    DETECTED_OBJECT,
     GROUP,
     LIMIT,
-    SIGHTING,
     UNKNOWN,
     Conditions,
     angle_sd,
@@ -203,13 +203,13 @@ def explain_groups(
     conditions: Conditions | None = None,
 ) -> np.ndarray:
     """Replace groups, and patches without a type, by the parts of taught types that were found in
-    these patches. Return the new detections (n,) SIGHTING.
+    these patches. Return the new detections (n,) DETECTED_OBJECT.
 
     Parameters
     ----------
     image : (H, W) or (H, W, 3) uint8
     patches : sequence of Patch
-    seen : (m,) SIGHTING
+    seen : (m,) DETECTED_OBJECT
         The detection of each patch.
     catalogue, calibration, conditions
         As in `recognise`.
@@ -294,8 +294,8 @@ def _parts(
     tries: Work,
     conditions: Conditions | None,
 ) -> np.ndarray:
-    """Return the detections (n,) SIGHTING of the parts of a group and of its rest. The result is
-    empty if no parts are found. `one` (1,) is the detection of the whole group."""
+    """Return the detections (n,) DETECTED_OBJECT of the parts of a group and of its rest. The
+    result is empty if no parts are found. `one` (1,) is the detection of the whole group."""
     outlines, _ = measure_patches(image, [union], calibration, CONTOUR_POINTS)
     here, mask = union.windowed(image.shape)
     corner = here[1].start, here[0].start
@@ -320,8 +320,8 @@ def _parts(
         left = _without(view, left, part)
     rest = _pieces(left, corner, MIN_REST * float(np.min(catalogue.area)) * scale**2)
     if len(found) + len(rest) < 2 or not found:
-        return np.empty(0, SIGHTING)
-    parts = np.zeros(len(found), SIGHTING)
+        return np.empty(0, DETECTED_OBJECT)
+    parts = np.zeros(len(found), DETECTED_OBJECT)
     for row, part in zip(parts, found, strict=True):
         fit, gate = np.append(part.pose, (0, 0)), 2 * NEAR_PX / scale
         deviation = angle_sd(part.template, view.outline.points, fit, scale, gate)
