@@ -615,7 +615,7 @@ def rig_title(rig: str) -> str:
 
 class StatusLine:
     """Line of output that is overwritten on a terminal. If the output is not a terminal, a new line
-    is printed at most every `quiet_s` [s]."""
+    is printed at most every `period_s` [s]."""
 
     PERIOD_S = 0.25
 

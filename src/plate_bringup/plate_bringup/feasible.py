@@ -51,7 +51,7 @@ KEYS = {
     "stroke": "stroke_m", "speed": "speed_mps", "acceleration": "accel_mps2", "force": "force_n",
     "heat": "continuous_force_n",
 }  # fmt: skip
-"""Keys of the limits in the rig file, by the fields of `Share`."""
+"""Keys of the limits in the rig file, by the fields of `LimitUse`."""
 
 
 @piped()
