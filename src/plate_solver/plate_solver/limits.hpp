@@ -41,9 +41,9 @@ View<const double, 1> weights(const double (&each)[COUNT]) {
     return {each, {COUNT}};
 }
 
-[[gnu::always_inline]] inline void keep_greatest(Four& most, const Four& value) {
+[[gnu::always_inline]] inline void keep_greatest(Four& maximum, const Four& value) {
     const Four size = value < 0 ? -value : value;
-    most = size > most ? size : most;
+    maximum = size > maximum ? size : maximum;
 }
 
 inline double greatest(const Four& value) {
@@ -94,7 +94,7 @@ PLATE_WIDE inline double motion_use(Samples pose, Samples twist, Samples accel,
 // compute the four motors together.
 PLATE_WIDE inline double force_use(Samples pose, Samples twist, Samples accel,
                                    View<const double, 1> weight, const Limits& limits) {
-    Four loads[3][3], most{}, square{};
+    Four loads[3][3], maximum{}, square{};
     for (int order = 0; order < 3; order++)
         for (int c = 0; c < 3; c++)
             for (int i = 0; i < MOTORS; i++) loads[order][c][i] = limits.loads[order][i][c];
@@ -106,12 +106,12 @@ PLATE_WIDE inline double force_use(Samples pose, Samples twist, Samples accel,
             force += loads[0][c] * pose(k, c) + loads[1][c] * twist(k, c);
             force += loads[2][c] * accel(k, c);
         }
-        keep_greatest(most, force);
+        keep_greatest(maximum, force);
         square += share * force * force;
         total += share;
     }
     const double hottest = std::max(0.0, greatest(square / total));
-    return std::max(greatest(most), limits.heat * std::sqrt(hottest));
+    return std::max(greatest(maximum), limits.heat * std::sqrt(hottest));
 }
 
 // Returns the largest utilisation of any rig limit by the samples (n, 3) of a motion. A utilisation

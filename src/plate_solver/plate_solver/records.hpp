@@ -32,17 +32,17 @@ void check(const char* name, const Any& array, std::initializer_list<size_t> exp
     throw nb::value_error(says.c_str());
 }
 
-// Copies a Python array to the C array `room`. The arrays may have up to three axes. Throws an
+// Copies a Python array to the C array `target`. The arrays may have up to three axes. Throws an
 // error if the shapes differ.
-template <class Room>
-void read(const char* name, nb::handle array, Room& room) {
-    constexpr size_t AXES = std::rank_v<Room>;
-    const size_t sizes[] = {std::extent_v<Room, 0>, std::extent_v<Room, 1>, std::extent_v<Room, 2>};
+template <class Target>
+void read(const char* name, nb::handle array, Target& target) {
+    constexpr size_t AXES = std::rank_v<Target>;
+    const size_t sizes[] = {std::extent_v<Target, 0>, std::extent_v<Target, 1>, std::extent_v<Target, 2>};
     const auto from = nb::cast<Array<const double, AXES>>(array);
     for (size_t axis = 0; axis < AXES; axis++)
         if (from.shape(axis) != sizes[axis])
             throw nb::value_error((std::string(name) + " has a wrong shape").c_str());
-    std::copy_n(from.data(), from.size(), reinterpret_cast<double*>(&room));
+    std::copy_n(from.data(), from.size(), reinterpret_cast<double*>(&target));
 }
 
 // Converts the Python tuple `Limits` to the C++ struct.

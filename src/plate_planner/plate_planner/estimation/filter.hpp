@@ -36,7 +36,7 @@ PLATE_WIDE inline void stick_slip(View<double, 2> state, const double* bound, Sa
     }
     double *__restrict x = own[0], *__restrict y = own[1];
     double *__restrict vx = own[2], *__restrict vy = own[3];
-    const double *__restrict most_accel = own[4], *__restrict from = own[5];
+    const double *__restrict max_accel = own[4], *__restrict from = own[5];
     const double* __restrict to = own[6];
     for (int k = 0; k < twist.count; k++) {
         const double along = twist(k, 0), across = twist(k, 1), turn = twist(k, 2);
@@ -46,10 +46,11 @@ PLATE_WIDE inline void stick_slip(View<double, 2> state, const double* bound, Sa
 #pragma omp simd
             for (int i = block; i < block + LANES; i++) {
                 const double h = std::max(std::min(last, to[i]) - std::max(first, from[i]), 0.0);
-                const double most = most_accel[i] * h;
+                const double maximum = max_accel[i] * h;
                 const double dx = along - turn * (y[i] - centre_y) - vx[i];
                 const double dy = across + turn * (x[i] - centre_x) - vy[i];
-                const double fraction = most / std::max(std::sqrt(dx * dx + dy * dy), most + TINY);
+                const double fraction =
+                    maximum / std::max(std::sqrt(dx * dx + dy * dy), maximum + TINY);
                 vx[i] += fraction * dx;
                 vy[i] += fraction * dy;
                 x[i] += h * vx[i];

@@ -197,10 +197,10 @@ struct Shape {
         if (begin == hole) return radius;
         double inner = 0.0;
         for (int piece = begin; piece < hole; piece++) {
-            double least = std::numeric_limits<double>::infinity();
+            double minimum = std::numeric_limits<double>::infinity();
             for (int e = outlines.pieces(piece); e < outlines.pieces(piece + 1); e++)
-                least = std::min(least, outlines.edges(e, 2));
-            inner = std::max(inner, least);
+                minimum = std::min(minimum, outlines.edges(e, 2));
+            inner = std::max(inner, minimum);
         }
         return inner;
     }

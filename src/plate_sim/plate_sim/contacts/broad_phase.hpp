@@ -40,10 +40,10 @@ struct NearPairs {
             y[i] = group.mark[Y][State::lane(i)] = state(Y, i);
         }
         for (int i = order.size(); i < count; i++) order.push_back(i);
-        double most = 0.0;
+        double maximum = 0.0;
         for (int a = 0; a < count; a++) {
             const int i = order[a];
-            most = std::max(most, bodies[i].reach);
+            maximum = std::max(maximum, bodies[i].reach);
             int b = a;
             // An insertion sort is fast here, because the order of the parts changes little between
             // two lists.
@@ -51,7 +51,7 @@ struct NearPairs {
                 order[b] = order[b - 1];
             order[b] = i;
         }
-        skin = gap = SKIN * most;
+        skin = gap = SKIN * maximum;
         pairs.clear();
         for (int a = 0; a < count; a++) {
             const int i = order[a];
@@ -60,7 +60,7 @@ struct NearPairs {
             for (int b = a + 1; b < count; b++) {
                 const int j = order[b];
                 const double dx = x[j] - x[i], dy = y[j] - y[i];
-                if (dx >= size + most) break;
+                if (dx >= size + maximum) break;
                 const double reach = size + bodies[j].reach, distance2 = dx * dx + dy * dy;
                 if (here(j) && distance2 < reach * reach) {
                     pairs.push_back({i, j});

@@ -82,9 +82,9 @@ inline double collide_discs(const State& state, Bodies bodies, int i, int j, con
             const double arm = far - ri;
             const double ti = mi * ri / bodies[i].gyration2, tj = mj * arm / bodies[j].gyration2;
             const double along = wy * nx - wx * ny - ri * state(SPIN, i) - arm * state(SPIN, j);
-            const double most = rules.friction * gain / light;
+            const double maximum = rules.friction * gain / light;
             const double drag =
-                std::min(std::max(-along / (light + ri * ti + arm * tj), -most), most);
+                std::min(std::max(-along / (light + ri * ti + arm * tj), -maximum), maximum);
             push(state, i, mi * drag, -ny, nx, ago);
             push(state, j, -mj * drag, -ny, nx, ago);
             turn(state, i, -ti * drag, ago);
@@ -124,8 +124,8 @@ inline void collide_with_wall(const State& state, Bodies bodies, int i, double d
         if (rules.friction > 0) {
             const double roll = radius / bodies[i].gyration2;
             const double along = wy * nx - wx * ny - radius * state(SPIN, i);
-            const double most = rules.friction * gain;
-            const double drag = std::min(std::max(-along / (1 + radius * roll), -most), most);
+            const double maximum = rules.friction * gain;
+            const double drag = std::min(std::max(-along / (1 + radius * roll), -maximum), maximum);
             push(state, i, drag, -ny, nx, ago);
             turn(state, i, -roll * drag, ago);
         }

@@ -153,10 +153,10 @@ inline void push(const State& state, int i, int j, const Arm& arm, Vec n, double
 //     j >= 0,  v + H j >= 0,  j . (v + H j) = 0
 // Here, v = (v0, v1) are the relative speeds [m/s] along n at the points, and H is the matrix of
 // compliances.
-struct Least {
+struct Smallest {
     double at[2] = {0.0, 0.0};
 
-    Least(const Arm arms[2], Vec n, const Inertia& inertia, double v0, double v1, int count) {
+    Smallest(const Arm arms[2], Vec n, const Inertia& inertia, double v0, double v1, int count) {
         const double h00 = compliance(arms[0], arms[0], n, inertia);
         const double j0 = std::max(0.0, -v0 / h00);
         at[0] = j0;
@@ -185,15 +185,16 @@ inline void bounce(const State& state, int i, int j, const Arm arms[2], Vec n,
     const double raised = 1 + rules.restitution;
     for (int rebound = 0; rebound < REBOUNDS; rebound++) {
         if (v0 >= -still && v1 >= -still) break;
-        const Least least(arms, n, inertia, v0, v1, count);
+        const Smallest minimum(arms, n, inertia, v0, v1, count);
         for (int k = 0; k < count; k++)
-            push(state, i, j, arms[k], n, raised * least.at[k], inertia, VX);
+            push(state, i, j, arms[k], n, raised * minimum.at[k], inertia, VX);
         for (int k = 0; k < count; k++) {
-            const double most = rules.friction * raised * least.at[k];
-            if (most > 0) {
+            const double maximum = rules.friction * raised * minimum.at[k];
+            if (maximum > 0) {
                 const double drag =
                     -speed(state, i, j, arms[k], t) / compliance(arms[k], arms[k], t, inertia);
-                push(state, i, j, arms[k], t, std::min(std::max(drag, -most), most), inertia, VX);
+                push(state, i, j, arms[k], t, std::min(std::max(drag, -maximum), maximum), inertia,
+                     VX);
             }
         }
         // Friction may have caused a new closing speed, so compute the speeds again for the next

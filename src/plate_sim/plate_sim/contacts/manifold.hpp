@@ -47,17 +47,17 @@ inline int next(int k, Corners corners) {
 
 // Return the contact of a disc (first part) and a convex polygon.
 inline Manifold disc_polygon(double cx, double cy, double radius, Corners corners) {
-    double most = -INFINITE;
+    double maximum = -INFINITE;
     int side = -1;
     for (int k = 0; k < static_cast<int>(corners.size()); k++) {
         const Corner& corner = corners[k];
         const double apart = corner.out_x * (cx - corner.x) + corner.out_y * (cy - corner.y);
         if (apart >= radius || (apart > 0 && corner.open == 0)) return {};
-        if (apart > most && corner.open != 0) most = apart, side = k;
+        if (apart > maximum && corner.open != 0) maximum = apart, side = k;
     }
     if (side < 0) return {};
     double nx = corners[side].out_x, ny = corners[side].out_y;
-    if (most > 0) {
+    if (maximum > 0) {
         // The nearest point of the polygon is on this side or at one of its ends.
         const Corner &a = corners[side], &b = corners[next(side, corners)];
         const double along = (a.x - cx) * ny - (a.y - cy) * nx;
@@ -65,12 +65,12 @@ inline Manifold disc_polygon(double cx, double cy, double radius, Corners corner
         if (along < 0 || beyond < 0) {
             const Corner& end = along < 0 ? a : b;
             const double x = cx - end.x, y = cy - end.y;
-            most = std::sqrt(x * x + y * y);
-            if (most >= radius) return {};
-            nx = x / most, ny = y / most;
+            maximum = std::sqrt(x * x + y * y);
+            if (maximum >= radius) return {};
+            nx = x / maximum, ny = y / maximum;
         }
     }
-    const double depth = radius - most, arm = radius - 0.5 * depth;
+    const double depth = radius - maximum, arm = radius - 0.5 * depth;
     return {1, {nx, ny}, {{cx - arm * nx, cy - arm * ny}}, {depth}};
 }
 
@@ -84,14 +84,15 @@ struct Separation {
     Separation(Corners flat, Corners other) : gap(-INFINITE), side(-1) {
         for (int k = 0; k < static_cast<int>(flat.size()); k++) {
             const double nx = flat[k].out_x, ny = flat[k].out_y;
-            double least = INFINITE;
+            double minimum = INFINITE;
             for (const Corner& corner : other)
-                least = std::min(least, nx * (corner.x - flat[k].x) + ny * (corner.y - flat[k].y));
-            if (least >= 0) {
+                minimum =
+                    std::min(minimum, nx * (corner.x - flat[k].x) + ny * (corner.y - flat[k].y));
+            if (minimum >= 0) {
                 gap = 0.0, side = k;
                 return;
             }
-            if (least > gap && flat[k].open != 0) gap = least, side = k;
+            if (minimum > gap && flat[k].open != 0) gap = minimum, side = k;
         }
     }
 };

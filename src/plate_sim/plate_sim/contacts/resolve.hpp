@@ -80,7 +80,7 @@ inline Touch touch(const State& state, Bodies bodies, int i, int j, Outlines& ou
     const bool disc = a.radius > 0;
     outlines.place(state, a, i);
     outlines.place(state, b, j);
-    Touch most{i, j};
+    Touch maximum{i, j};
     for (int q = b.first_piece; q < b.end_piece; q++) {
         for (int p = a.first_piece; p < (disc ? a.first_piece + 1 : a.end_piece); p++) {
             const Manifold contact =
@@ -88,10 +88,10 @@ inline Touch touch(const State& state, Bodies bodies, int i, int j, Outlines& ou
                      : polygon_polygon(outlines[p], outlines[q]);
             double depth = 0.0;
             for (int k = 0; k < contact.count; k++) depth = std::max(depth, contact.depth[k]);
-            if (depth > most.depth) most.depth = depth, most.contact = contact;
+            if (depth > maximum.depth) maximum.depth = depth, maximum.contact = contact;
         }
     }
-    return most;
+    return maximum;
 }
 
 // The pair of overlapping parts with the maximum relative depth: indices of the parts, depth of the
@@ -110,8 +110,8 @@ inline Overlap deepest_overlap(const State& state, Bodies bodies, Outlines& outl
         if (bodies[i].radius > 0 && bodies[j].radius > 0) {
             depth = overlap(state, bodies, i, j);
         } else {
-            const Touch most = touch(state, bodies, i, j, outlines);
-            i = most.i, j = most.j, depth = most.depth;
+            const Touch maximum = touch(state, bodies, i, j, outlines);
+            i = maximum.i, j = maximum.j, depth = maximum.depth;
         }
         const double share = depth / std::min(bodies[i].slim, bodies[j].slim);
         if (share > worst.share) worst = {i, j, depth, share};
@@ -205,10 +205,10 @@ struct Contacts {
         const double dx = state(X, i) - state(X, j), dy = state(Y, i) - state(Y, j);
         const double size = bodies[i].reach + bodies[j].reach;
         if (dx * dx + dy * dy >= size * size) return 0.0;
-        const Touch most = touch(state, bodies, i, j, outlines);
-        if (most.depth > KEPT || closes(state, most.i, most.j, most.contact))
-            collide(state, bodies, most.i, most.j, most.contact, rules, step);
-        return most.depth;
+        const Touch maximum = touch(state, bodies, i, j, outlines);
+        if (maximum.depth > KEPT || closes(state, maximum.i, maximum.j, maximum.contact))
+            collide(state, bodies, maximum.i, maximum.j, maximum.contact, rules, step);
+        return maximum.depth;
     }
 
     // Apply the collisions of a part with the walls. Return the maximum depth [m] of the overlap of

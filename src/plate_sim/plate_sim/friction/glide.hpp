@@ -36,11 +36,11 @@ namespace plate {
 // the length of a time step [s], and `here` states whether the part is on the plate.
 inline bool describe(const State& state, int i, const Body& body, double step, bool here) {
     constexpr double none = std::numeric_limits<double>::infinity();
-    const double dv = body.mu_g * step, least = stepping::DISC_STIFF / stepping::GENTLE * dv;
+    const double dv = body.mu_g * step, minimum = stepping::DISC_STIFF / stepping::GENTLE * dv;
     const bool glides = here && body.radius > 0 && body.even();
     Group& group = state.group(i);
     const int lane = State::lane(i);
-    group.dv[lane] = dv, group.least[lane] = glides && dv > 0 ? least * least : none;
+    group.dv[lane] = dv, group.minimum[lane] = glides && dv > 0 ? minimum * minimum : none;
     group.radius2[lane] = body.radius * body.radius, group.gyration2[lane] = body.gyration2;
     group.ratio[lane] = group.radius2[lane] / body.gyration2;
     group.away[lane] = here ? 0 : none;
@@ -131,7 +131,7 @@ inline bool describe(const State& state, int i, const Body& body, double step, b
                 const double ab = dot(a, b, g2), az = dot(a, z, g2);
                 const double turn = std::min(ab * std::abs(ab) - STEADY * STEADY * size2 * middle2,
                                              az * std::abs(az) - STEADY * STEADY * size2 * end2);
-                const bool steady = (std::min(size2, middle2) >= g.least[i]) &
+                const bool steady = (std::min(size2, middle2) >= g.minimum[i]) &
                                     (std::max(s.ak2[i], s.bk2[i]) <= disc::SERIES) & (turn > 0);
                 g.moved[i] = steady ? 1.0 : 0.0;
                 all[i] += g.moved[i];

@@ -37,7 +37,7 @@ constexpr int COARSE = 2000;
 constexpr double FINE = 1e-3;
 // Minimum friction [m/s2]. Smaller friction is neglected, because its direction would be a rounding
 // error.
-constexpr double LEAST = 1e-60;
+constexpr double MIN_LIMIT = 1e-60;
 // Minimum number of intervals per piece of the motion in the search for the time at which a stuck
 // part begins to slide.
 constexpr int SCAN = 3;
@@ -130,10 +130,10 @@ inline bool holds(Table table, double t, int k, Vec q, double limit) {
 // step that is longer than two pieces may pass the end of the piece.
 inline double to_knot(Table table, double t, int k, double h, double room) {
     h = std::min(h, room);
-    const double least = FLOOR * table.back().end;
-    if (table[k].end - t <= least && k + 1 < static_cast<int>(table.size())) k++;
+    const double minimum = FLOOR * table.back().end;
+    if (table[k].end - t <= minimum && k + 1 < static_cast<int>(table.size())) k++;
     const double gap = table[k].end - t;
-    return gap > least && gap < h && h < 2 * (table[k].end - table[k].start) ? gap : h;
+    return gap > minimum && gap < h && h < 2 * (table[k].end - table[k].start) ? gap : h;
 }
 
 // Whether the slip may nearly vanish within a step, although it does not reverse at any stage of
@@ -151,11 +151,11 @@ inline bool dips(Table table, double t, int k, double h, const Step& made, const
     const double b = 3 * (r_end - r) - 2 * down - up, c = 2 * (r - r_end) + down + up;
     const double root = std::sqrt(std::max(0.0, b * b - 3 * c * down));
     const double s = b + root > 0 ? -down / (b + root) : 0.5;
-    const double least = r + s * (down + s * (b + s * c)), turn = bounds.rate * h;
+    const double minimum = r + s * (down + s * (b + s * c)), turn = bounds.rate * h;
     // The error of the cubic (Hermite interpolation) is at most h^4/384 times the fourth derivative
     // of the slip. The fourth derivative is about accel rate^3. The factor 0.01 is about four times
     // 1/384, as a safety margin.
-    return least < 0.01 * bounds.accel * h * (turn * (turn * turn));
+    return minimum < 0.01 * bounds.accel * h * (turn * (turn * turn));
 }
 
 // A completed step: length [s], state and friction at its end, and recommended length of the next
@@ -215,16 +215,16 @@ inline Slid slide(Table table, double t, int k, double h, double hint, const Poi
 // interval. The parabola passes through the squared accelerations at the start, in the middle and
 // at the end.
 inline double first_free(Table table, double low, double high, int k, Vec q, double limit) {
-    const double middle = 0.5 * (low + high), most = limit * limit;
+    const double middle = 0.5 * (low + high), maximum = limit * limit;
     const double a = felt(table, low, k, q), b = felt(table, middle, k, q);
     const double c = felt(table, high, k, q);
-    if (b > most) return middle;
+    if (b > maximum) return middle;
     const double bend = a - 2 * b + c;
     if (bend < 0 && std::abs(a - c) < -2 * bend) {
         const double peak = middle + 0.25 * (high - low) * (a - c) / bend;
-        if (felt(table, peak, k, q) > most) return peak;
+        if (felt(table, peak, k, q) > maximum) return peak;
     }
-    return c > most ? high : -1;
+    return c > maximum ? high : -1;
 }
 
 // Return the time [s] until which friction holds a part at q [m, plate frame]. The result is at
@@ -395,7 +395,7 @@ inline std::int64_t run_points(Table table, const Scales& scales, const double* 
     for (int i = 0; i < count; i++) {
         const Track track{path + 2 * i, speed + 2 * i, rows, 2 * count};
         checked[i] = true;
-        if (limit[i] <= LEAST) {
+        if (limit[i] <= MIN_LIMIT) {
             const double dt = cycles * table.back().end / (rows - 1);
             const auto [place, velocity] = track.at(0);
             for (int j = 1; j < rows; j++)

@@ -76,8 +76,8 @@ inline Reversal reversal(const PlateSample* plate, Vec fall, double static_dv, d
     const Vec e = Vec{plate[2].vx, plate[2].vy} - v - fall;
     const Vec a = 4 * m - e - 3 * s, b = 2 * (s + e) - 4 * m, z = a + 2 * b;
     const double a2 = dot(a, a), z2 = dot(z, z), product = dot(a, z);
-    const double least = (FAST * static_dv) * (FAST * static_dv);
-    if (!(std::min(a2, z2) > least && product > 0 && product * product > BENT * BENT * a2 * z2))
+    const double minimum = (FAST * static_dv) * (FAST * static_dv);
+    if (!(std::min(a2, z2) > minimum && product > 0 && product * product > BENT * BENT * a2 * z2))
         return {false, v, v};
     const double s2 = dot(s, s);
     double t = 0;

@@ -48,10 +48,10 @@ static_assert(sizeof(Body) == 10 * sizeof(double));
 // Group of parts that are advanced together: their states, and constants for `glide` (glide.hpp).
 struct Group {
     double state[6][LANES];
-    // `dv` is mu g times the step [m/s]. `least` is the minimum squared slip for `glide` [m2/s2].
-    // For parts that are not discs, `least` is infinite. `radius2` and `gyration2` are the squared
+    // `dv` is mu g times the step [m/s]. `minimum` is the minimum squared slip for `glide` [m2/s2].
+    // For parts that are not discs, `minimum` is infinite. `radius2` and `gyration2` are the squared
     // radius and the squared radius of gyration [m2]. `ratio` is radius2 / gyration2.
-    double dv[LANES], least[LANES], radius2[LANES], gyration2[LANES], ratio[LANES];
+    double dv[LANES], minimum[LANES], radius2[LANES], gyration2[LANES], ratio[LANES];
     double moved[LANES];    // 1 if `glide` has advanced the part in this step, else 0
     double away[LANES];     // 0 if the part is on the plate, else infinite
     double mark[2][LANES];  // positions at an earlier time [m]
@@ -170,8 +170,8 @@ inline Slip slip_after(const Slip& free, double angle, double dv, const Body& bo
 // Whether friction can stop a slip in one step. Friction changes the velocity by at most dv [m/s]
 // in the step.
 inline bool holds(const Slip& slip, double angle, double dv, const Body& body, const Mesh& mesh) {
-    constexpr double MOST = (1 + disc::SNAP) * (1 + disc::SNAP);
-    if (slip.x * slip.x + slip.y * slip.y > MOST * dv * dv) return false;
+    constexpr double MAX_SLIP = (1 + disc::SNAP) * (1 + disc::SNAP);
+    if (slip.x * slip.x + slip.y * slip.y > MAX_SLIP * dv * dv) return false;
     const Slip left = slip_after(slip, angle, dv, body, mesh);
     return left.x == 0 && left.y == 0 && left.turn == 0;
 }

@@ -89,22 +89,22 @@ struct Extent {
     }
 };
 
-// Computes up to `most` time steps with `glide`. The function stops for one of three reasons:
+// Computes up to `maximum` time steps with `glide`. The function stops for one of three reasons:
 // - `glide` cannot advance all `count` parts.
 // - Two parts may have approached each other by `gap` [m] or more.
 // - A part is not clearly inside the edges of the plate.
 //
-// Returns the number of complete steps. If this number is below `most`, `glide` has already
+// Returns the number of complete steps. If this number is below `maximum`, `glide` has already
 // advanced its parts in the next step.
 PLATE_WIDE inline int cruise(std::span<Group> groups, const PlateSample* plate, double step,
                              const GroundEffect& ground, const double* half, double gap, int count,
-                             int most) {
-    for (int made = 0; made < most; made++, plate += 2) {
+                             int maximum) {
+    for (int made = 0; made < maximum; made++, plate += 2) {
         if (glide(plate, step, ground, groups) < count) return made;
         const Extent extent(groups);
         if (extent.approach() >= gap || !extent.within(plate[2], half)) return made;
     }
-    return most;
+    return maximum;
 }
 
 // Removes all parts whose centres are beyond an edge of the plate. Returns whether any part was
@@ -121,7 +121,7 @@ inline bool drop(const State& state, View<bool, 1> here, const PlateSample& plat
             here(i) = false;
             state(VX, i) = state(VY, i) = state(SPIN, i) = 0.0;
             Group& group = state.group(i);
-            group.away[State::lane(i)] = group.least[State::lane(i)] = contacts::INFINITE;
+            group.away[State::lane(i)] = group.minimum[State::lane(i)] = contacts::INFINITE;
             any = true;
         }
     }

@@ -124,9 +124,9 @@ inline double square(Complex a) { return a.real * a.real + a.imag * a.imag; }
     };
     int k = 0;
     for (; k + 8 <= n; k += 8) {
-        double most = found[k];
-        for (int i = 1; i < 8; i++) most = std::max(most, found[k + i]);
-        if (most > 0) collect(k, k + 8);
+        double maximum = found[k];
+        for (int i = 1; i < 8; i++) maximum = std::max(maximum, found[k + i]);
+        if (maximum > 0) collect(k, k + 8);
     }
     collect(k, n);
     return count;

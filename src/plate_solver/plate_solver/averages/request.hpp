@@ -26,7 +26,7 @@ inline RequestFlags request_flags(View<const double, 2> position, View<const dou
     for (int i = 0; i < force.size(0); i++) {
         flags.curled |= !std::isnan(curl(i));
         flags.sound &= !std::isinf(curl(i));
-        double least = 0;
+        double minimum = 0;
         for (int axis = 0; axis < 2; axis++) {
             const double requested = std::abs(force(i, axis)), free = tolerance(i, axis);
             flags.sound &= std::abs(position(i, axis)) <= FARTHEST_M;
@@ -35,11 +35,11 @@ inline RequestFlags request_flags(View<const double, 2> position, View<const dou
             flags.moving |= velocity(i, axis) != 0;
             flags.slack |= free != 0;
             flags.within &= requested <= free;
-            // `least` is the length of the vector (|force x| - tolerance x, |force y| - tolerance
+            // `minimum` is the length of the vector (|force x| - tolerance x, |force y| - tolerance
             // y), where negative components count as 0. `scaled_length` avoids an overflow.
-            least = scaled_length(least, std::max(requested - free, 0.0));
+            minimum = scaled_length(minimum, std::max(requested - free, 0.0));
         }
-        flags.loaded = std::max(flags.loaded, least);
+        flags.loaded = std::max(flags.loaded, minimum);
     }
     return flags;
 }

@@ -5,7 +5,7 @@
 
 namespace plate {
 
-using averages::Found;
+using averages::InversionResult;
 using averages::Inversion;
 using averages::Motions;
 using averages::Request;
@@ -76,8 +76,8 @@ static nb::object closed(const Matrix& path) {
     return nb::cast(to_numpy<2>(std::move(samples), {static_cast<size_t>(n), 3}));
 }
 
-// Returns the fields of the Python tuple `Found`.
-static nb::tuple fields_of(Found&& found) {
+// Returns the fields of the Python tuple `InversionResult`.
+static nb::tuple fields_of(InversionResult&& found) {
     const size_t size = found.theta.size(), pieces = found.spline.size() / 18;
     const size_t parts = found.error.size() / 2;
     return nb::make_tuple(to_numpy<1>(std::move(found.theta), {size}), closed(found.knots.pose),
@@ -96,7 +96,7 @@ static nb::tuple invert(Table warm, Table pool, Table position, Table velocity, 
         throw nb::value_error("there is no part, no random motion, or no step");
     const Request request{view(position), view(velocity), view(force),
                           tolerance,      iterations,     tries};
-    Found found;
+    InversionResult found;
     {
         nb::gil_scoped_release others_may_run;
         Inversion inversion(motions, view(pool), request);

@@ -20,11 +20,11 @@ namespace plate::averages {
 using namespace sinusoids;
 
 // Options of a Levenberg-Marquardt search that starts at a random motion.
-constexpr Damping AFRESH{.first = 1.25e-3, .least = 1e-9, .most = 1e2, .shrink = 8.0, .grow = 6.0,
+constexpr Damping AFRESH{.first = 1.25e-3, .minimum = 1e-9, .maximum = 1e2, .shrink = 8.0, .grow = 6.0,
                          .stall_steps = 6, .stall_fraction = 0.7};
 
 // Options of a Levenberg-Marquardt search that starts near a solution.
-constexpr Damping NEAR{.first = 1.25e-5, .least = 1e-9, .most = 1e2, .shrink = 8.0, .grow = 6.0,
+constexpr Damping NEAR{.first = 1.25e-5, .minimum = 1e-9, .maximum = 1e2, .shrink = 8.0, .grow = 6.0,
                        .stall_steps = 6, .stall_fraction = 0.7};
 
 constexpr int FIRST = 0;  // number of the first start
@@ -84,7 +84,7 @@ struct Request {
 // Result of the search. `knots` contains the pose, twist and acceleration (3, k + 1) at the knots
 // of the spline. `spline` (k, 6, 3) contains the coefficients. `error` (M, 2) contains the errors
 // of the average forces [mu m g].
-struct Found {
+struct InversionResult {
     std::vector<double> theta;  // parameters (3 h,), at full amplitude
     SampledMotion knots;
     std::vector<double> spline, error;
@@ -108,11 +108,11 @@ public:
 
     // Searches for a motion with the requested average forces. `warm` (3 h,) contains the
     // parameters of the previous solution, or is null if there is no previous solution.
-    Found invert(const double* warm) {
+    InversionResult invert(const double* warm) {
         is_warm = warm;
         auto [fit, done, tried] =
             search(warm ? std::vector<double>(warm, warm + 3 * size) : fresh(FIRST));
-        Found found = finished(fit, done, tried);
+        InversionResult found = finished(fit, done, tried);
         if (found.worst > request.tolerance && worst(fit.error) <= request.tolerance) {
             fit = descend(PANELS, requested, fit.parameters, NEAR, request.tolerance / 3,
                           request.iterations);
@@ -167,15 +167,15 @@ private:
         Attempted now = attempted(begin, FIRST, std::numeric_limits<double>::infinity());
         Attempted near = now;
         Searched all{now.fit, now.steps, FIRST + 1};
-        double least = now.cost;
+        double minimum = now.cost;
         int failed = 0;
         while (!now.enough && all.tried < request.tries) {
             const bool afresh = failed >= HOPS;
             now = attempted(afresh ? led(all.tried) : disturbed(all.tried, near.fit.parameters),
-                            all.tried, least);
+                            all.tried, minimum);
             all.steps += now.steps;
             all.tried++;
-            if (now.enough || now.cost < least) all.best = now.fit, least = now.cost;
+            if (now.enough || now.cost < minimum) all.best = now.fit, minimum = now.cost;
             failed = afresh || now.cost < BETTER * near.cost ? 0 : failed + 1;
             if (now.cost < near.cost || afresh) near = now;
         }
@@ -184,16 +184,16 @@ private:
 
     // Runs a Levenberg-Marquardt search from one start. Unless the start is the previous solution,
     // the search uses the quadrature USUAL. If its result is within the tolerance or better than
-    // `least`, the quadrature ADAPTIVE evaluates the result again. If necessary, the search then
-    // continues with ADAPTIVE. `least` is the minimum cost of all previous starts.
-    Attempted attempted(const std::vector<double>& start, int number, double least) {
+    // `minimum`, the quadrature ADAPTIVE evaluates the result again. If necessary, the search then
+    // continues with ADAPTIVE. `minimum` is the minimum cost of all previous starts.
+    Attempted attempted(const std::vector<double>& start, int number, double minimum) {
         const double tolerance = request.tolerance;
         const bool known = number == FIRST && is_warm;
         Fit fit = descend(known ? ADAPTIVE : USUAL, requested, start, known ? NEAR : AFRESH,
                           tolerance / 3, request.iterations);
         int done = fit.iterations;
         double cost = squared(fit.error), greatest = worst(fit.error);
-        if (greatest <= tolerance || cost < least) {
+        if (greatest <= tolerance || cost < minimum) {
             cost = force_error(ADAPTIVE, requested, fit.parameters, fit.error, nullptr);
             if (greatest <= 30 * tolerance && worst(fit.error) > SURE * tolerance) {
                 fit = descend(ADAPTIVE, requested, fit.parameters, NEAR, tolerance / 3,
@@ -228,24 +228,24 @@ private:
     // Compares some random motions of the pool and their opposites, which are the motions times -1.
     // Returns the motion with the smallest force error.
     std::vector<double> fresh(int number) {
-        const int count = pool.size(0), most = motions.candidates;
+        const int count = pool.size(0), maximum = motions.candidates;
         // Every round compares other motions of the pool.
-        const int first = number / (HOPS + 1) * most % count;
-        double least = 1e300, sign = 1;
+        const int first = number / (HOPS + 1) * maximum % count;
+        double minimum = 1e300, sign = 1;
         int index = first;
         std::vector<double> error;
-        for (int i = first; i < std::min(first + most, count); i++) {
+        for (int i = first; i < std::min(first + maximum, count); i++) {
             std::vector<double> theta(random(i), random(i) + 3 * size);
             if (moving) to_full_amplitude(theta);
             const double cost = force_error(FEW, requested, theta, error, nullptr);
-            if (cost < least) least = cost, index = i, sign = 1;
+            if (cost < minimum) minimum = cost, index = i, sign = 1;
             // f is the requested force. The motion exerts the force g = f - error, and the opposite
             // motion exerts -g. Therefore the squared error of the opposite motion is |f + g|^2 =
             // |f - g|^2 + 4 f.g
             double opposite = cost;
             for (int r = 0; r < 2 * parts; r++)
                 opposite += 4 * requested[r] * (requested[r] - error[r]);
-            if (opposite < least) least = opposite, index = i, sign = -1;
+            if (opposite < minimum) minimum = opposite, index = i, sign = -1;
         }
         std::vector<double> theta(random(index), random(index) + 3 * size);
         for (double& value : theta) value *= sign;
@@ -283,7 +283,7 @@ private:
     }
 
     double use_of(const SampledBasis& basis, View<const double, 1> weight, bool linear) {
-        look(own[0], basis, checked);
+        sample_motion(own[0], basis, checked);
         return limit_use(samples(checked.pose), samples(checked.twist), samples(checked.accel),
                          weight, motions.limits, linear);
     }
@@ -340,8 +340,8 @@ private:
     }
 
     // Converts parameters to a spline within the limits, and evaluates its forces.
-    Found finished(const Fit& fit, int iterations, int tries) {
-        Found found{.theta = fit.parameters, .iterations = iterations, .tries = tries};
+    InversionResult finished(const Fit& fit, int iterations, int tries) {
+        InversionResult found{.theta = fit.parameters, .iterations = iterations, .tries = tries};
         to_full_amplitude(found.theta);
         set_coefficients(found.theta);
         // Four rounds suffice, because the utilisation of the limits is nearly proportional to the
@@ -352,7 +352,7 @@ private:
             const double factor = 0.9999 * CERTAIN / used;
             for (int k = 0; k < 3 * size; k++) own[0][k] *= factor;
         }
-        look(own[0], motions.knots, found.knots);
+        sample_motion(own[0], motions.knots, found.knots);
         const int powers = motions.spline.columns, pieces = powers / 6;
         Matrix spline;
         combine(own[0], motions.spline, spline);

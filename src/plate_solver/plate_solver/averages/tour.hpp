@@ -20,14 +20,14 @@ inline Matrix changes(View<const double, 2> twists, const double* half) {
     Matrix change(count, count);
     for (int i = 0; i < count; i++)
         for (int j = 0; j < i; j++) {
-            double d[3], most = 0;
+            double d[3], maximum = 0;
             for (int c = 0; c < 3; c++) d[c] = twists(i, c) - twists(j, c);
             for (double x : {-half[0], half[0]})
                 for (double y : {-half[1], half[1]}) {
                     const double u = d[0] - d[2] * y, v = d[1] + d[2] * x;
-                    most = std::max(most, u * u + v * v);
+                    maximum = std::max(maximum, u * u + v * v);
                 }
-            change[i][j] = change[j][i] = std::sqrt(most);
+            change[i][j] = change[j][i] = std::sqrt(maximum);
         }
     return change;
 }

@@ -92,11 +92,11 @@ inline void unit_slips(View<const double, 2> twists, View<const double, 2> posit
 // Computes an upper bound of lambda . n(s) for each point s of a great circle. The bound is valid
 // for all twists within the angle `radius` [rad] of the point. `separating` contains lambda.
 PLATE_WIDE inline void upper(const Circle& circle, View<const double, 2> position, double arm_m,
-                             const double* separating, double radius, double* __restrict most) {
+                             const double* separating, double radius, double* __restrict maximum) {
     const int count = circle.count();
     const double *__restrict x = circle.x.data(), *__restrict y = circle.y.data();
     const double* __restrict z = circle.z.data();
-    std::fill_n(most, count, 0.0);
+    std::fill_n(maximum, count, 0.0);
     for (int i = 0; i < position.size(0); i++) {
         const double px = position(i, 0), py = position(i, 1);
         const double lx = separating[2 * i], ly = separating[2 * i + 1];
@@ -114,7 +114,7 @@ PLATE_WIDE inline void upper(const Circle& circle, View<const double, 2> positio
             const double free = std::sqrt(square - reach * reach);
             const bool all = (square <= reach * reach) |
                              ((along > 0) & (across * free <= along * reach));
-            most[c] += all ? weight : (along * free + across * reach) / square;
+            maximum[c] += all ? weight : (along * free + across * reach) / square;
         }
     }
 }
@@ -137,15 +137,15 @@ PLATE_WIDE inline double greatest_triple(const double* values, int points) {
     std::vector<double> before((reach + 1) * SIDE_BY_SIDE);  // maximum before the middle point
     double triple = NOTHING;
     for (int m = 0; m < points; m += SIDE_BY_SIDE) {
-        double most[SIDE_BY_SIDE], pair[SIDE_BY_SIDE];
-        std::fill_n(most, SIDE_BY_SIDE, NOTHING), std::fill_n(pair, SIDE_BY_SIDE, NOTHING);
+        double maximum[SIDE_BY_SIDE], pair[SIDE_BY_SIDE];
+        std::fill_n(maximum, SIDE_BY_SIDE, NOTHING), std::fill_n(pair, SIDE_BY_SIDE, NOTHING);
         for (int a = 0; a <= reach; a++) {
             const double* __restrict v = round.data() + reach + m - a;
             double* __restrict kept = before.data() + a * SIDE_BY_SIDE;
 #pragma omp simd
             for (int i = 0; i < SIDE_BY_SIDE; i++) {
-                most[i] = v[i] > most[i] ? v[i] : most[i];
-                kept[i] = most[i];
+                maximum[i] = v[i] > maximum[i] ? v[i] : maximum[i];
+                kept[i] = maximum[i];
             }
         }
         for (int a = 0; a <= reach; a++) {
@@ -222,7 +222,7 @@ inline bool proves(View<const double, 2> cells, View<const double, 2> position, 
     };
     std::vector<Circle> circles;
     for (int level = 0; level <= HALVINGS; level++) circles.emplace_back(POINTS << level);
-    std::vector<double> most(POINTS << HALVINGS);
+    std::vector<double> maximum(POINTS << HALVINGS);
     double work = 0;
     for (int q = 0; q < cells.size(0); q++) {
         std::vector<Cell> waiting{{cells(q, 0), cells(q, 1), cells(q, 2), cells(q, 3), 0}};
@@ -239,8 +239,8 @@ inline bool proves(View<const double, 2> cells, View<const double, 2> position, 
             // second angle is half the spacing of the points on the circle.
             const double widest = high < PI / 2 ? std::max(std::sin(low), std::sin(high)) : 1.0;
             const double radius = length_of(high - low, widest * (right - left)) / 2 + PI / n;
-            upper(circle, position, arm_m, separating, radius, most.data());
-            if (greatest_triple(most.data(), n) < limit) continue;
+            upper(circle, position, arm_m, separating, radius, maximum.data());
+            if (greatest_triple(maximum.data(), n) < limit) continue;
             if (level == HALVINGS || work > MAX_WORK) return false;
             waiting.push_back({low, tilt, left, turn, level + 1});
             waiting.push_back({low, tilt, turn, right, level + 1});

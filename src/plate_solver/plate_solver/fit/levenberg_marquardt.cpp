@@ -150,10 +150,10 @@ FitOf<Number> levenberg_marquardt(const Evaluate& evaluate, const Slopes<Number>
             best.parameters.swap(trial), best.error.swap(trial_error);
             cost = trial_cost;
             slopes(best.jacobian);
-            factor = std::max(factor / damping.shrink, damping.least);
+            factor = std::max(factor / damping.shrink, damping.minimum);
         } else {
             factor *= damping.grow;
-            if (factor > damping.most) break;
+            if (factor > damping.maximum) break;
         }
     }
     return best;
@@ -170,13 +170,13 @@ struct Tridiagonal {
     std::vector<double> middle, beside2;
 
     // Returns an eigenvalue with a relative error of up to 1e-10. `index` is its position in
-    // ascending order, from 0. If the eigenvalue is below `least`, the result is any number up to
-    // `least`. The search begins with the interval from 0 to `high`. Each step divides the interval
+    // ascending order, from 0. If the eigenvalue is below `minimum`, the result is any number up to
+    // `minimum`. The search begins with the interval from 0 to `high`. Each step divides the interval
     // by four shifts and selects one of the five parts. The number of negative pivots of the
     // shifted matrix is the number of eigenvalues below the shift.
-    double eigenvalue(int index, double least, double high) const {
+    double eigenvalue(int index, double minimum, double high) const {
         double low = 0;
-        while (high - low > 1e-10 * high && high > least) {
+        while (high - low > 1e-10 * high && high > minimum) {
             const double step = (high - low) / 5;
             const Four one{1, 1, 1, 1}, tiny = 1e-300 * one;
             const Four shift = low + step * Four{1, 2, 3, 4};
@@ -246,9 +246,10 @@ double condition_of(const Matrix& jacobian) {
     for (int i = 0; i < count; i++) trace += square[i][i];
     Tridiagonal matrix;
     make_tridiagonal(square, matrix);
-    const double most = matrix.eigenvalue(count - 1, 0, 2 * trace);
-    const double least = matrix.eigenvalue(0, 1e-15 * most, 2 * trace);
-    return least > 1e-14 * most ? std::sqrt(most / least) : std::numeric_limits<double>::infinity();
+    const double maximum = matrix.eigenvalue(count - 1, 0, 2 * trace);
+    const double minimum = matrix.eigenvalue(0, 1e-15 * maximum, 2 * trace);
+    return minimum > 1e-14 * maximum ? std::sqrt(maximum / minimum)
+                                     : std::numeric_limits<double>::infinity();
 }
 
 }  // namespace plate

@@ -12,7 +12,7 @@ namespace plate {
 // Options of the damping. The unit of the damping is the mean squared length of the Jacobian's
 // rows.
 struct Damping {
-    double first, least, most;  // if the damping exceeds `most`, the search stops
+    double first, minimum, maximum;  // if the damping exceeds `maximum`, the search stops
     double shrink, grow;        // factors after an accepted and after a rejected step
     int stall_steps;            // if the last `stall_steps` steps leave more than
     double stall_fraction;      // `stall_fraction` of the squared error, the search stops
@@ -20,7 +20,7 @@ struct Damping {
 
 // Options for expensive evaluations. The maximum damping is high. The search never stops because of
 // slow progress.
-constexpr Damping DAMPING{.first = 1e-2, .least = 1e-6, .most = 1e3, .shrink = 3.0, .grow = 4.0,
+constexpr Damping DAMPING{.first = 1e-2, .minimum = 1e-6, .maximum = 1e3, .shrink = 3.0, .grow = 4.0,
                           .stall_steps = 1'000'000, .stall_fraction = 1.0};
 
 // Result of a search: parameters (P,), errors (R,), negative Jacobian of the errors (R, P), and
@@ -42,10 +42,10 @@ inline double squared(const std::vector<double>& error) {
 
 // Returns the maximum absolute error, or NaN if any error is NaN.
 inline double worst(const std::vector<double>& error) {
-    double most = 0;
+    double maximum = 0;
     for (double value : error)
-        if (std::abs(value) > most || std::isnan(value)) most = std::abs(value);
-    return most;
+        if (std::abs(value) > maximum || std::isnan(value)) maximum = std::abs(value);
+    return maximum;
 }
 
 inline void transpose(const Matrix& matrix, Matrix& across) {

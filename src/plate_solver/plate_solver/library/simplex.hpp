@@ -121,8 +121,8 @@ inline bool Programme::restart() {
     chosen.resize(rows(), rows());
     columns_of(matrix, {basis.data, basis.shape}, {chosen[0], {rows(), rows()}});
     if (!invert_matrix(chosen, inverse)) return false;
-    double most = 0;
-    for (int i = 0; i < rows() * rows(); i++) most = std::max(most, std::abs(inverse[0][i]));
+    double maximum = 0;
+    for (int i = 0; i < rows() * rows(); i++) maximum = std::max(maximum, std::abs(inverse[0][i]));
     times_vector(inverse, right_side.data, 1, amount.data());
     for (int i = 0; i < rows(); i++) {
         sense(i) = 1;
@@ -134,7 +134,7 @@ inline bool Programme::restart() {
         else
             basis(i) += basis(i) < count() + rows() ? rows() : -rows();
     }
-    return most * PIVOT < 1;
+    return maximum * PIVOT < 1;
 }
 
 // Returns the column with the largest gain, its direction, and its gain per unit.

@@ -58,13 +58,13 @@ inline Ramps ramps(View<const double, 2> twists, const double* half, View<const 
             if (j < count) d[c] += twists(j, c);
             if (j > 0) d[c] -= twists(j - 1, c);
         }
-        double most = -1, at_x = 0, at_y = 0;
+        double maximum = -1, at_x = 0, at_y = 0;
         for (double x : {-half[0], half[0]})
             for (double y : {-half[1], half[1]}) {
                 const double u = d[0] - d[2] * y, v = d[1] + d[2] * x, square = u * u + v * v;
-                if (square > most) most = square, at_x = x, at_y = y;
+                if (square > maximum) maximum = square, at_x = x, at_y = y;
             }
-        double change = std::sqrt(most);
+        double change = std::sqrt(maximum);
         int which = -1;
         for (int i = 0; i < loads.size(0); i++) {
             const double* row = loads[i];

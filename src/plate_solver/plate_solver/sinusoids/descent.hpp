@@ -21,7 +21,7 @@ using namespace sinusoids;
 // Options of the Levenberg-Marquardt method. One cycle often moves the parts by only a small
 // fraction of the distance to their targets. With an initial damping of 1e-2, the first steps would
 // be too long, and most of the first five would be rejected.
-constexpr Damping DAMPING{.first = 1.0, .least = 1e-6, .most = 1e3, .shrink = 3.0, .grow = 4.0,
+constexpr Damping DAMPING{.first = 1.0, .minimum = 1e-6, .maximum = 1e3, .shrink = 3.0, .grow = 4.0,
                           .stall_steps = 6, .stall_fraction = 0.9999};
 
 // A basis of h sinusoidal motions, and the rig's limits. The matrices for the motion of the parts
@@ -54,7 +54,7 @@ struct Problem {
     View<const float, 2> start;  // parts in blocks, (b, STATE) or (b, TURNING_STATE)
     Ends ends;
     double coast;  // time by which the final positions are extrapolated [s]
-    double most;   // largest permitted utilisation of any limit (1: exactly at the limit)
+    double maximum;   // largest permitted utilisation of any limit (1: exactly at the limit)
 
     int blocks() const { return start.size(0); }
     bool turning() const { return start.size(1) == TURNING_STATE; }
@@ -62,7 +62,7 @@ struct Problem {
 };
 
 // Buffers of a descent. Each evaluation overwrites them.
-struct Room {
+struct Workspace {
     AlignedNumbers<float> steps, by_twist;
     std::vector<float> moving;
     std::vector<double> own, place;
@@ -74,15 +74,16 @@ struct Room {
 
 class Descent {
 public:
-    Descent(const Problem& problem, Room& room)
-        : problem(problem), motions(problem.motions), room(room), blocks(problem.blocks()),
+    Descent(const Problem& problem, Workspace& workspace)
+        : problem(problem), motions(problem.motions), workspace(workspace),
+          blocks(problem.blocks()),
           axes(problem.axes()) {
         const int trace = problem.turning() ? TURNING_TRACE : TRACE;
-        room.steps.resize(motions.steps() * blocks * trace);
-        room.by_twist.resize(motions.bins() * blocks * axes * 3 * LANES);
-        room.own.resize(3 * motions.size());
-        room.place.resize(axes * problem.ends.parts);
-        steps = {room.steps.data(), {motions.steps(), blocks, trace}};
+        workspace.steps.resize(motions.steps() * blocks * trace);
+        workspace.by_twist.resize(motions.bins() * blocks * axes * 3 * LANES);
+        workspace.own.resize(3 * motions.size());
+        workspace.place.resize(axes * problem.ends.parts);
+        steps = {workspace.steps.data(), {motions.steps(), blocks, trace}};
         if (problem.settling.moves) settling_use = use_of(problem.settling.checked);
     }
 
@@ -90,56 +91,57 @@ public:
     void evaluate(std::vector<double>& theta, std::vector<double>& error) {
         const Limits& limits = motions.limits;
         sample_checks(theta);
-        const SampledMotion& at = room.checked;
+        const SampledMotion& at = workspace.checked;
         const double use = use_of(at);
-        if (use > problem.most) {
-            const double share = (problem.most - settling_use) / (use - settling_use);
+        if (use > problem.maximum) {
+            const double share = (problem.maximum - settling_use) / (use - settling_use);
             for (double& value : theta) value *= std::max(share, 0.0);
             sample_checks(theta);
         }
-        room.moving.assign(room.own.begin(), room.own.end());
-        combine(room.moving.data(), motions.pose, room.pose);
-        combine(room.moving.data(), motions.twist, room.twist);
+        workspace.moving.assign(workspace.own.begin(), workspace.own.end());
+        combine(workspace.moving.data(), motions.pose, workspace.pose);
+        combine(workspace.moving.data(), motions.twist, workspace.twist);
         if (problem.settling.moves) {
-            add_to(room.pose, problem.settling.pose);
-            add_to(room.twist, problem.settling.twist);
+            add_to(workspace.pose, problem.settling.pose);
+            add_to(workspace.twist, problem.settling.twist);
         }
         move_parts();
-        end_errors(room.place, problem.ends, error, room.by_place);
+        end_errors(workspace.place, problem.ends, error, workspace.by_place);
         const int checks = motions.checks.count();
-        room.excess.begin(max_excesses(checks) + max_force_excesses(checks), 3 * motions.size());
-        excess(at, motions.checks, limits, room.used, room.excess);
-        if (limits.forceful) force_excess(at, motions.checks, limits, room.excess);
-        for (int k = 0; k < room.excess.found; k++)
-            error.push_back(-EXCESS_M * room.excess.value[k]);
+        workspace.excess.begin(max_excesses(checks) + max_force_excesses(checks),
+                               3 * motions.size());
+        excess(at, motions.checks, limits, workspace.used, workspace.excess);
+        if (limits.forceful) force_excess(at, motions.checks, limits, workspace.excess);
+        for (int k = 0; k < workspace.excess.found; k++)
+            error.push_back(-EXCESS_M * workspace.excess.value[k]);
     }
 
     // Computes the negative derivatives (R + K, 3 h) of R position errors and K limit violations.
     // The derivatives belong to the motion of the last `evaluate` call.
     void slopes(MatrixOf<float>& jacobian) {
         find_slopes_of_ends();
-        const int rows = room.by_place.rows, wide = 3 * motions.size();
-        jacobian.resize(rows + room.excess.found, wide);
+        const int rows = workspace.by_place.rows, wide = 3 * motions.size();
+        jacobian.resize(rows + workspace.excess.found, wide);
         for (int r = 0; r < rows; r++) {
             float* __restrict row = jacobian[r];
             std::fill_n(row, wide, 0.0f);
-            for (int c = 0; c < room.by_place.columns; c++) {
-                const float factor = room.by_place[r][c];
+            for (int c = 0; c < workspace.by_place.columns; c++) {
+                const float factor = workspace.by_place[r][c];
                 if (factor == 0) continue;  // most factors are 0
-                const float* __restrict end = room.ends[c];
+                const float* __restrict end = workspace.ends[c];
                 for (int p = 0; p < wide; p++) row[p] += factor * end[p];
             }
         }
-        for (int k = 0; k < room.excess.found; k++)
+        for (int k = 0; k < workspace.excess.found; k++)
             for (int p = 0; p < wide; p++)
                 jacobian[rows + k][p] =
-                    EXCESS_M * room.excess.slope[k][p] * motions.scale[p % 3];
+                    EXCESS_M * workspace.excess.slope[k][p] * motions.scale[p % 3];
     }
 
 private:
     const Problem& problem;
     const Motions& motions;
-    Room& room;
+    Workspace& workspace;
     int blocks, axes;
     double settling_use = 0;  // largest utilisation of any limit by the settling motion
     View<float, 3> steps;
@@ -152,12 +154,13 @@ private:
 
     // Computes the motion at the instants at which limits are checked.
     void sample_checks(const std::vector<double>& theta) {
-        for (size_t p = 0; p < theta.size(); p++) room.own[p] = theta[p] * motions.scale[p % 3];
-        look(room.own.data(), motions.checks, room.checked);
+        for (size_t p = 0; p < theta.size(); p++)
+            workspace.own[p] = theta[p] * motions.scale[p % 3];
+        sample_motion(workspace.own.data(), motions.checks, workspace.checked);
         if (!problem.settling.moves) return;
-        add_to(room.checked.pose, problem.settling.checked.pose);
-        add_to(room.checked.twist, problem.settling.checked.twist);
-        add_to(room.checked.accel, problem.settling.checked.accel);
+        add_to(workspace.checked.pose, problem.settling.checked.pose);
+        add_to(workspace.checked.twist, problem.settling.checked.twist);
+        add_to(workspace.checked.accel, problem.settling.checked.accel);
     }
 
     template <class Number>
@@ -173,15 +176,16 @@ private:
         constexpr int PLACE[] = {blocks::X, blocks::Y, turning::TURN};
         constexpr int RATE[] = {blocks::VX, blocks::VY, turning::SPIN};
         const int parts = problem.ends.parts, wide = problem.start.size(1);
-        room.state.resize(blocks, wide);
-        std::copy_n(problem.start.data, blocks * wide, room.state[0]);
-        const View<float, 2> state{room.state[0], {blocks, wide}};
+        workspace.state.resize(blocks, wide);
+        std::copy_n(problem.start.data, blocks * wide, workspace.state[0]);
+        const View<float, 2> state{workspace.state[0], {blocks, wide}};
         const auto trace = problem.turning() ? trace_turning : plate::trace;
-        trace(state, samples(room.pose), samples(room.twist), motions.dt, steps);
+        trace(state, samples(workspace.pose), samples(workspace.twist), motions.dt, steps);
         for (int axis = 0; axis < axes; axis++)
             for (int i = 0; i < parts; i++) {
                 const float* own = state[i / LANES] + i % LANES;
-                room.place[axis * parts + i] = own[PLACE[axis]] + problem.coast * own[RATE[axis]];
+                workspace.place[axis * parts + i] =
+                    own[PLACE[axis]] + problem.coast * own[RATE[axis]];
             }
     }
 
@@ -189,21 +193,22 @@ private:
     // parameters.
     void find_slopes_of_ends() {
         const int size = motions.size(), bins = motions.bins(), parts = problem.ends.parts;
-        const View<float, 4> by_twist{room.by_twist.data(), {bins, blocks, axes, 3 * LANES}};
+        const View<float, 4> by_twist{workspace.by_twist.data(), {bins, blocks, axes, 3 * LANES}};
         const auto adjoint = problem.turning() ? adjoint_turning : plate::adjoint;
-        adjoint({steps.data, steps.shape}, samples(room.twist), motions.dt, problem.coast, by_twist);
+        adjoint({steps.data, steps.shape}, samples(workspace.twist), motions.dt, problem.coast,
+                by_twist);
         const int wide = blocks * axes * 3 * LANES;
-        room.on_twist.resize(size, wide);
-        product(motions.twist_bins[0], size, room.by_twist.data(), wide, bins, size, wide,
-                room.on_twist[0], wide);
-        room.ends.resize(axes * parts, 3 * size);
+        workspace.on_twist.resize(size, wide);
+        product(motions.twist_bins[0], size, workspace.by_twist.data(), wide, bins, size, wide,
+                workspace.on_twist[0], wide);
+        workspace.ends.resize(axes * parts, 3 * size);
         for (int axis = 0; axis < axes; axis++)
             for (int i = 0; i < parts; i++) {
                 const int at = (i / LANES * axes + axis) * 3 * LANES + i % LANES;
-                float* row = room.ends[axis * parts + i];
+                float* row = workspace.ends[axis * parts + i];
                 for (int h = 0; h < size; h++)
                     for (int c = 0; c < 3; c++)
-                        row[3 * h + c] = motions.scale[c] * room.on_twist[h][at + c * LANES];
+                        row[3 * h + c] = motions.scale[c] * workspace.on_twist[h][at + c * LANES];
             }
     }
 };
@@ -212,8 +217,8 @@ private:
 // result contains the errors of the final positions and rotations, followed by the limit
 // violations.
 inline FitOf<float> descend(const Problem& problem, std::vector<double> theta, double tolerance,
-                   int iterations, Room& room) {
-    Descent descent(problem, room);
+                   int iterations, Workspace& workspace) {
+    Descent descent(problem, workspace);
     return levenberg_marquardt<float>(
         [&](auto& parameters, auto& error) { descent.evaluate(parameters, error); },
         [&](MatrixOf<float>& jacobian) { descent.slopes(jacobian); }, std::move(theta), DAMPING, tolerance,

@@ -71,11 +71,11 @@ static descent::Settling settling_of(Table pose, Table twist, Table check_pose, 
 
 static nb::tuple descend(const Motions& motions, const descent::Settling& settling,
                          Array<const float, 2> start, nb::tuple ends_record, double coast,
-                         double most, Numbers theta, double tolerance, int iterations) {
+                         double maximum, Numbers theta, double tolerance, int iterations) {
     const bool turning = start.shape(1) == TURNING_STATE;
     const size_t ends = nb::cast<Numbers>(ends_record[0]).size(), axes = turning ? 3 : 2;
     const EndsRecord record(ends_record, ends);
-    const Problem problem{motions, settling, view(start), record.view(), coast, most};
+    const Problem problem{motions, settling, view(start), record.view(), coast, maximum};
     if (!turning) check("start", start, {start.shape(0), STATE});
     const size_t parts = problem.ends.parts;
     if (ends != axes * parts || start.shape(0) * LANES < parts)
@@ -87,9 +87,9 @@ static nb::tuple descend(const Motions& motions, const descent::Settling& settli
     FitOf<float> fit;
     {
         nb::gil_scoped_release others_may_run;
-        static thread_local descent::Room room;
+        static thread_local descent::Workspace workspace;
         fit = descent::descend(problem, {theta.data(), theta.data() + theta.size()}, tolerance,
-                               iterations, room);
+                               iterations, workspace);
     }
     return fields_of(std::move(fit));
 }

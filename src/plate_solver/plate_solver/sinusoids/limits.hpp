@@ -41,11 +41,11 @@ struct Excess {
     Matrix slope;
     int found = 0;
 
-    // Clears the result. Reserves memory for up to `most` violations.
-    void begin(int most, int columns) {
+    // Clears the result. Reserves memory for up to `maximum` violations.
+    void begin(int maximum, int columns) {
         found = 0;
-        if (value.size() < static_cast<size_t>(most)) value.resize(most);
-        slope.resize(most, columns);
+        if (value.size() < static_cast<size_t>(maximum)) value.resize(maximum);
+        slope.resize(maximum, columns);
     }
 };
 
@@ -62,7 +62,8 @@ void combine(const Number* coefficients, const MatrixOf<Number>& basis, MatrixOf
             basis.columns);
 }
 
-inline void look(const double* coefficients, const SampledBasis& basis, SampledMotion& at) {
+inline void sample_motion(const double* coefficients, const SampledBasis& basis,
+                          SampledMotion& at) {
     combine(coefficients, basis.pose, at.pose);
     combine(coefficients, basis.twist, at.twist);
     combine(coefficients, basis.accel, at.accel);

@@ -81,23 +81,23 @@ using DiscFit = std::array<double, UNKNOWNS>;
 // - rest: darkness minus the darkness of neighbouring discs
 // - seen: fraction of the pixel that no neighbour covers
 struct DiscWindow {
-    int size = 0, most;
+    int size = 0, maximum;
     double all = 0;  // number of all pixels in the window, including unusable pixels
     std::vector<float> numbers;
 
     float* x() { return numbers.data(); }
-    float* y() { return x() + most; }
-    float* dark() { return x() + 2 * most; }
-    float* rest() { return x() + 3 * most; }
-    float* seen() { return x() + 4 * most; }
+    float* y() { return x() + maximum; }
+    float* dark() { return x() + 2 * maximum; }
+    float* rest() { return x() + 3 * maximum; }
+    float* seen() { return x() + 4 * maximum; }
 
     DiscWindow(const LitPlate& plate, double x_px, double y_px, const Silhouette& part) {
         const int x0 = std::rint(x_px), y0 = std::rint(y_px);
         const double rim = rim_of(part);
         const int reach = std::ceil(part.reach() + rim);
         const double square = part.lean_px[0] * part.lean_px[0] + part.lean_px[1] * part.lean_px[1];
-        most = (2 * reach + 1) * (2 * reach + 1);
-        numbers.resize(5 * static_cast<size_t>(most));
+        maximum = (2 * reach + 1) * (2 * reach + 1);
+        numbers.resize(5 * static_cast<size_t>(maximum));
         const auto is_inside = [&](int column, int row) {
             const double across = column - x0, along = row - y0;
             double wx = part.across[0][0] * across + part.across[0][1] * along;

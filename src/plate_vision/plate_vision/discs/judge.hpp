@@ -67,10 +67,10 @@ inline Parts judge(const Disc* discs, const Silhouette* parts, View<const double
     const double noise = std::min(limits.noise, WORST_NOISE);
     for (int k = 0; k < marks.size(0); k++) {
         const Disc& disc = discs[k];
-        const double most =
+        const double maximum =
             MAX_MISFIT + NOISE_MISFIT * noise / std::max(disc.darkness, noise);
         if (!(std::abs(disc.radius_px / parts[k].radius_px - 1) <= limits.tolerance &&
-              disc.misfit < most && disc.seen > MIN_SEEN && depth[k] >= -limits.margin_px))
+              disc.misfit < maximum && disc.seen > MIN_SEEN && depth[k] >= -limits.margin_px))
             continue;
         double top_x, top_y;
         parts[k].to_image(parts[k].lean_px[0], parts[k].lean_px[1], top_x, top_y);
@@ -80,7 +80,7 @@ inline Parts judge(const Disc* discs, const Silhouette* parts, View<const double
         kept.rows.push_back(k);
         kept.labels.push_back(light[k] > 1 + EQUAL ? 2 : light[k] >= limits.class_threshold);
         kept.found.push_back({disc.x_px, disc.y_px, disc.radius_px, angle,
-                              std::clamp(1 - disc.misfit / most, 0.0, 1.0),
+                              std::clamp(1 - disc.misfit / maximum, 0.0, 1.0),
                               length_of(disc.scatter_px, odd_px), disc.misfit});
     }
     return kept;

@@ -151,12 +151,12 @@ inline void vote(const LitPlate& plate, int x0, int y0, const Silhouette& part,
 
 // Returns the squared distance [px^2] of a point from the nearest of `count` centres [px].
 inline double nearest(const double* centres, int count, double x, double y) {
-    double least = std::numeric_limits<double>::infinity();
+    double minimum = std::numeric_limits<double>::infinity();
     for (int k = 0; k < count; k++) {
         const double dx = centres[2 * k] - x, dy = centres[2 * k + 1] - y;
-        least = std::min(least, dx * dx + dy * dy);
+        minimum = std::min(minimum, dx * dx + dy * dy);
     }
-    return least;
+    return minimum;
 }
 
 // Returns the centres x, y (n, 2) [px] of parts, in decreasing order of their votes. The first

@@ -43,8 +43,9 @@ struct Silhouette {
         // The result is the reciprocal of the smallest singular value of `across`.
         const double a = across[0][0], b = across[0][1], c = across[1][0], d = across[1][1];
         const double half = 0.5 * (a * a + b * b + c * c + d * d), area = a * d - b * c;
-        const double least = std::sqrt(half - std::sqrt(std::max(half * half - area * area, 0.0)));
-        return 1 / std::max(least, 1e-3);
+        const double minimum =
+            std::sqrt(half - std::sqrt(std::max(half * half - area * area, 0.0)));
+        return 1 / std::max(minimum, 1e-3);
     }
 
     // Returns an upper bound of the distance between the part's position and any point of its

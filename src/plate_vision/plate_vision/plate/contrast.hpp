@@ -20,12 +20,12 @@ namespace plate {
 // minus this level, whichever is larger.
 inline float deviation(const uint8_t* pixel, int channels, View<const float, 2> lights, int x,
                        int y) {
-    float most = 0;
+    float maximum = 0;
     for (int c = 0; c < channels; c++) {
         const float empty = bare(lights[c], x, y), gap = pixel[c] - empty;
-        most = std::max(most, gap < 0 ? -gap / empty : gap / std::max(empty, 255 - empty));
+        maximum = std::max(maximum, gap < 0 ? -gap / empty : gap / std::max(empty, 255 - empty));
     }
-    return std::min(most, 1.f);
+    return std::min(maximum, 1.f);
 }
 
 // Write 255 (1 - deviation) to the pixels of an image (h, w) within a box x0, y0, x1, y1.

@@ -13,7 +13,7 @@
 namespace plate {
 
 // Number of angles at which the spectra of two outlines are compared.
-constexpr int TURNS = 96;
+constexpr int ANGLES = 96;
 
 // Maximum number of candidate angles from which the fit of a type to an outline starts.
 constexpr int STARTS = 4;
@@ -32,10 +32,10 @@ constexpr double EXACT = 0.15;
 // Computes the correlation of two spectra (HARMONICS,) for each of the TURNS angles by which one
 // outline is rotated.
 PLATE_WIDE inline void correlate(const Complex* seen, const Complex* known,
-                                 std::array<double, TURNS>& alike) {
-    double turn_x[TURNS], turn_y[TURNS], wave_x[TURNS], wave_y[TURNS];
-    for (int i = 0; i < TURNS; i++) {
-        const double angle = 2 * std::numbers::pi * i / TURNS;
+                                 std::array<double, ANGLES>& alike) {
+    double turn_x[ANGLES], turn_y[ANGLES], wave_x[ANGLES], wave_y[ANGLES];
+    for (int i = 0; i < ANGLES; i++) {
+        const double angle = 2 * std::numbers::pi * i / ANGLES;
         turn_x[i] = std::cos(angle), turn_y[i] = std::sin(angle);
         wave_x[i] = 1, wave_y[i] = 0;
         alike[i] = 0;
@@ -43,7 +43,7 @@ PLATE_WIDE inline void correlate(const Complex* seen, const Complex* known,
     for (int k = 1; k < HARMONICS; k++) {
         const Complex both = seen[k] * Complex{known[k].real, -known[k].imag};
 #pragma omp simd
-        for (int i = 0; i < TURNS; i++) {
+        for (int i = 0; i < ANGLES; i++) {
             const double x = wave_x[i] * turn_x[i] - wave_y[i] * turn_y[i];
             const double y = wave_x[i] * turn_y[i] + wave_y[i] * turn_x[i];
             wave_x[i] = x, wave_y[i] = y;
@@ -58,11 +58,11 @@ PLATE_WIDE inline void correlate(const Complex* seen, const Complex* known,
 // same, or 0 for a disc.
 inline std::vector<double> likely_turns(const Complex* seen, const Complex* known, int symmetry) {
     if (symmetry == 0) return {0};
-    std::array<double, TURNS> alike, sector;
+    std::array<double, ANGLES> alike, sector;
     correlate(seen, known, alike);
-    const int size = (TURNS + symmetry - 1) / symmetry;
+    const int size = (ANGLES + symmetry - 1) / symmetry;
     for (int i = 0; i < size; i++) {
-        const double before = alike[(i + TURNS - 1) % TURNS], after = alike[(i + 1) % TURNS];
+        const double before = alike[(i + ANGLES - 1) % ANGLES], after = alike[(i + 1) % ANGLES];
         const bool peak = !(alike[i] < before || alike[i] < after);
         sector[i] = peak ? alike[i] : -std::numeric_limits<double>::infinity();
     }
@@ -73,7 +73,7 @@ inline std::vector<double> likely_turns(const Complex* seen, const Complex* know
     std::vector<double> found;
     for (int i = 0; i < std::min(size, STARTS); i++) {
         if (i > 0 && !(sector[order[i]] >= LIKELY * sector[order[0]])) break;
-        found.push_back(2 * std::numbers::pi / TURNS * order[i]);
+        found.push_back(2 * std::numbers::pi / ANGLES * order[i]);
     }
     return found;
 }

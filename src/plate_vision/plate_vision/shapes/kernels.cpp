@@ -239,7 +239,7 @@ void bind_segmentation(nb::module_& m) {
         nb::gil_scoped_release others_may_run;
         bridge(view(mask), view(cover), view(near), view(far), view(step), view(around));
     }, arg().noconvert(), arg().noconvert(), arg(), arg(), arg(), arg());
-    m.def("find_basins", [](In<float, 2> depth, double neck, double least_drop, int levels,
+    m.def("find_basins", [](In<float, 2> depth, double neck, double min_drop, int levels,
                             Array<int32_t, 2> labels) {
         require(same_pixels(depth, labels), "shapes: depth and labels (h, w)");
         require(levels >= 1, "levels: allowed: 1 or more");
@@ -247,7 +247,7 @@ void bind_segmentation(nb::module_& m) {
         Basins found;
         {
             nb::gil_scoped_release others_may_run;
-            found = find_basins(view(depth), neck, least_drop, levels, view(labels));
+            found = find_basins(view(depth), neck, min_drop, levels, view(labels));
         }
         return nb::make_tuple(found.count, rows_of(found.necks));
     }, arg(), arg(), arg(), arg(), arg().noconvert());

@@ -281,13 +281,13 @@ struct Places {
 // For each point, the nearest edge among the edges processed so far: squared distance, index of the
 // edge, and vector from the edge to the point.
 struct Nearest {
-    double least[POINTS], edge[POINTS] = {}, right[POINTS] = {}, down[POINTS] = {};
+    double minimum[POINTS], edge[POINTS] = {}, right[POINTS] = {}, down[POINTS] = {};
 
-    Nearest() { std::fill_n(least, POINTS, std::numeric_limits<double>::infinity()); }
+    Nearest() { std::fill_n(minimum, POINTS, std::numeric_limits<double>::infinity()); }
 
     [[gnu::always_inline]] void keep(int i, double distance, double its, double dx, double dy) {
-        const bool nearer = distance < least[i];
-        least[i] = nearer ? distance : least[i];
+        const bool nearer = distance < minimum[i];
+        minimum[i] = nearer ? distance : minimum[i];
         edge[i] = nearer ? its : edge[i];
         right[i] = nearer ? dx : right[i];
         down[i] = nearer ? dy : down[i];
@@ -354,8 +354,8 @@ PLATE_WIDE inline void edge_distances(View<const double, 2> edges, Places& place
 PLATE_WIDE inline void rim_distances(View<const double, 2> edges, Places& places) {
     for (int first = 0; first < places.padded(); first += POINTS) {
         const double *__restrict x = &places.x[first], *__restrict y = &places.y[first];
-        double least[POINTS];
-        std::fill_n(least, POINTS, 1e30);
+        double minimum[POINTS];
+        std::fill_n(minimum, POINTS, 1e30);
         for (int e = 0; e < edges.size(0); e++) {
             const double* edge = edges[e];
             const double x0 = edge[0], y0 = edge[1], ux = edge[2], uy = edge[3], length = edge[4];
@@ -364,10 +364,10 @@ PLATE_WIDE inline void rim_distances(View<const double, 2> edges, Places& places
                 const double vx = x[i] - x0, vy = y[i] - y0;
                 const double along = std::min(std::max(vx * ux + vy * uy, 0.0), length);
                 const double dx = vx - along * ux, dy = vy - along * uy;
-                least[i] = std::min(least[i], dx * dx + dy * dy);
+                minimum[i] = std::min(minimum[i], dx * dx + dy * dy);
             }
         }
-        for (int i = 0; i < POINTS; i++) places.distance[first + i] = std::sqrt(least[i]);
+        for (int i = 0; i < POINTS; i++) places.distance[first + i] = std::sqrt(minimum[i]);
     }
 }
 
@@ -448,7 +448,7 @@ inline double turn_scatter(View<const double, 2> edges, View<const double, 2> po
         lever += dx * dx + dy * dy;
     }
     lever /= count;
-    const double step = unit / std::sqrt(lever), most = CLIP * unit * unit;
+    const double step = unit / std::sqrt(lever), maximum = CLIP * unit * unit;
     double squares[3] = {};
     int number = 0;
     std::vector<char> near(count);
@@ -465,7 +465,7 @@ inline double turn_scatter(View<const double, 2> edges, View<const double, 2> po
         for (int i = 0; i < count; i++) {
             const double error = places.distance[i] - fit[3];
             if (k == 0) number += near[i] = !(std::abs(error) > gate);
-            if (near[i]) squares[k] += std::min(error * error, most);
+            if (near[i]) squares[k] += std::min(error * error, maximum);
         }
     }
     if (!number) return std::numeric_limits<double>::infinity();

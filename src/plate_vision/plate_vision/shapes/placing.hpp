@@ -84,10 +84,10 @@ inline Support support(View<const float, 2> free, View<const float, 2> border,
 
 // Returns the maximum distance of points (n, 2) from `place` (2,).
 inline double farthest(View<const double, 2> points, const double* place) {
-    double most = 0;
+    double maximum = 0;
     for (int k = 0; k < points.size(0); k++)
-        most = std::max(most, length_of(points(k, 0) - place[0], points(k, 1) - place[1]));
-    return most;
+        maximum = std::max(maximum, length_of(points(k, 0) - place[0], points(k, 1) - place[1]));
+    return maximum;
 }
 
 // Rotate the points (n, 2) of a part about the part's reference point, the pole. Write the offsets
@@ -96,13 +96,13 @@ inline double farthest(View<const double, 2> points, const double* place) {
 inline void find_offsets(View<const double, 2> points, View<const double, 2> to_px,
                          const double* pole, double angle, int margin, int width,
                          std::vector<int>& offsets) {
-    const double c = std::cos(angle), s = std::sin(angle), most = margin;
+    const double c = std::cos(angle), s = std::sin(angle), maximum = margin;
     for (int k = 0; k < points.size(0); k++) {
         const double x = points(k, 0) - pole[0], y = points(k, 1) - pole[1];
         const double u = c * x - s * y, v = s * x + c * y;
         const double i = std::floor(to_px(0, 0) * u + to_px(0, 1) * v + 0.5);
         const double j = std::floor(to_px(1, 0) * u + to_px(1, 1) * v + 0.5);
-        if (!(std::abs(i) <= most && std::abs(j) <= most))
+        if (!(std::abs(i) <= maximum && std::abs(j) <= maximum))
             throw std::invalid_argument("rim and inner: not all points are finite");
         offsets[k] = static_cast<int>(j) * width + static_cast<int>(i);
     }
@@ -158,7 +158,7 @@ inline std::vector<PlaceFound> search(View<const float, 2> free, View<const floa
             on_rim[at] = is_on_rim(border(j, i));
             if (free(j, i) >= depth) begin[j] = std::min(begin[j], i), end[j] = i + 1;
         }
-    const int most = 2 * MAX_OUTSIDE * inner.size(0);
+    const int maximum = 2 * MAX_OUTSIDE * inner.size(0);
     std::vector<int16_t> best(height * width), counts(width + PLACES);
     std::vector<int> best_turn(height * width), inner_at(inner.size(0)), rim_at(rim.size(0));
     for (int turn = 0; turn < turns.size(0); turn++) {
@@ -172,7 +172,7 @@ inline std::vector<PlaceFound> search(View<const float, 2> free, View<const floa
             bool fits = false;
             for (int k = 0; k < count; k++) {
                 const int i = begin[j] + k;
-                const bool tried = i % stride == 0 && free(j, i) >= depth && counts[k] <= most;
+                const bool tried = i % stride == 0 && free(j, i) >= depth && counts[k] <= maximum;
                 counts[k] = tried ? 0 : BARRED;
                 fits |= tried;
             }

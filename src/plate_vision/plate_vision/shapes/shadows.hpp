@@ -118,7 +118,7 @@ inline void part_sides(View<const uint8_t, 2> away, View<const bool, 2> like,
         if (k == 0) continue;
         const int *histogram = histograms[k], *plain = plains[k];
         int64_t total = 0, below = 0;
-        double moment = 0, first = 0, most = 0;
+        double moment = 0, first = 0, maximum = 0;
         for (int level = 0; level < 256; level++) {
             total += histogram[level];
             moment += static_cast<double>(level) * histogram[level];
@@ -129,8 +129,8 @@ inline void part_sides(View<const uint8_t, 2> away, View<const bool, 2> like,
             if (below < MIN_UNIFORM || total - below < MIN_UNIFORM) continue;
             const double low = first / below, high = (moment - first) / (total - below);
             const double between = below * (total - below) * ((high - low) * (high - low));
-            if (between > most) {
-                most = between;
+            if (between > maximum) {
+                maximum = between;
                 bound(k) = low > LIGHTER * high ? 0 : 0.5 * (low + high);
                 light[k] = low;
             }

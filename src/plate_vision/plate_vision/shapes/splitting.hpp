@@ -66,7 +66,7 @@ inline std::vector<int> from_the_deepest(View<const float, 2> depth, int levels)
 //
 // Where two floods meet, there is a saddle. The floods are merged, unless both peaks are
 // sufficiently high above the saddle.
-inline Basins find_basins(View<const float, 2> depth, double neck, double least_drop, int levels,
+inline Basins find_basins(View<const float, 2> depth, double neck, double min_drop, int levels,
                           View<int32_t, 2> labels) {
     const int height = depth.size(0), width = depth.size(1);
     struct Flood {
@@ -106,7 +106,7 @@ inline Basins find_basins(View<const float, 2> depth, double neck, double least_
                 const double lower = std::min(floods[own].peak, floods[other].peak);
                 const double wider = std::max(floods[own].peak, floods[other].peak);
                 const bool thin = lower < THIN_PX && lower < THINNER * wider;
-                if (here >= neck * lower || lower - here < least_drop || thin) {
+                if (here >= neck * lower || lower - here < min_drop || thin) {
                     if (floods[own].peak < floods[other].peak) std::swap(own, other);
                     floods[other].parent = own;
                 } else if (meetings.size() < MAX_NECKS) {
