@@ -120,8 +120,8 @@ def refusal(monkeypatch, capsys):
 @pytest.mark.parametrize(
     ("words", "text"),
     [
-        (["--set", "kp=0.5"], "seed 3 was run with kp None, allowed: '0.5'"),
-        (["--set", "method=A"], "seed 3 was run with method None, allowed: 'A'"),
+        (["--set", "kp=0.5"], "seed 3 was run with kp None, and this command has '0.5'"),
+        (["--set", "method=A"], "seed 3 was run with method None, and this command has 'A'"),
         (["--rig", "desk"], "seed 3 was run with rig '"),
         (["--scenario", "sort_4"], "seed 3 was run with scenario '"),
     ],
