@@ -69,7 +69,10 @@ def test_better_and_faster_agents_come_first(tmp_path):
     for text, words in (
         ("{", r"slow\.json is not JSON"),
         ("{}", r"slow\.json: result has , allow"),
-        (json.dumps(few), r"slow\.json: Sort4-v1: seeds are 0:3, 4:20, allowed: from 0 on, 20 or"),
+        (
+            json.dumps(few),
+            r"slow\.json: Sort4-v1: seeds are 0:3, 4:20, allowed: 0, 1, 2, ... without gaps, at least 20",
+        ),
     ):
         (tmp_path / "slow.json").write_text(text, encoding="utf-8")
         with pytest.raises(PlateError, match=words):

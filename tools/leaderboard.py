@@ -56,8 +56,8 @@ def tables(folder: Path) -> str:
             seeds = sorted(own["seed"] for own in found["rows"])
             if seeds != list(range(max(len(seeds), MIN_SEEDS))):
                 raise PlateError(
-                    f"{name}: {task}: seeds are {ranges(seeds)}, allowed: from 0 on, "
-                    f"{MIN_SEEDS} or more"
+                    f"{name}: {task}: seeds are {ranges(seeds)}, allowed: 0, 1, 2, ... "
+                    f"without gaps, at least {MIN_SEEDS} seeds"
                 )
     text = ""
     for task in TASKS:

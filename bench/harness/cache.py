@@ -13,7 +13,7 @@ from harness.result import ROOT
 from plate_bringup.identity import code_of_packages, machine
 
 FOLDERS = (ROOT / "bench", ROOT / "tools")
-"""Folders with the modules of measurements."""
+"""Folders of the modules that a measurement can import. `code_of` includes these modules."""
 
 
 class Cache:

@@ -134,7 +134,9 @@ def test_a_cycle_in_motion_is_never_scaled(rng):
     with pytest.raises(CycleError) as caught:
         prepare(RIG, spliced(rng, small, size=2e-2), 2, before=(small,))
     assert "plate_cycle: stroke is " in str(caught.value)
-    assert " m, allowed: 0.01 m; it begins in motion, so it cannot be scaled" in str(caught.value)
+    assert " m, allowed: 0.01 m; the cycle begins in motion, so it cannot be scaled" in str(
+        caught.value
+    )
 
 
 def test_what_rounding_makes_of_a_limit_is_no_excess(rng):
@@ -164,7 +166,7 @@ def test_the_tail_keeps_the_limits_too(pair):
     assert 0.5 < prepare(rig, short, 1)[1].factor < 0.995
     short, rig = hard(second)
     with pytest.raises(
-        CycleError, match=r"acceleration is .* it begins in motion, so it cannot be"
+        CycleError, match=r"acceleration is .* the cycle begins in motion, so it cannot be"
     ):
         prepare(rig, short, 1, before=(first,))
 

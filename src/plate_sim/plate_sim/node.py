@@ -209,7 +209,7 @@ class Options(NodeOptions):
         "size_spread", "Maximum relative deviation of the parts' sizes in images."
     )
     gloss: float = _image_parameter(
-        "gloss", "Radius of the lamp's image on each part divided by the part's radius."
+        "gloss", "Radius of the lamp's reflection on each part, divided by the part's radius."
     )
     shadow_length_m: float = _image_parameter("shadow_length_m", "Length of the shadows [m].")
     shadow_deg: float = _image_parameter("shadow_deg", "Direction of the shadows from x [degrees].")

@@ -150,8 +150,9 @@ def within_limits(
     rest_use = _use(rest, full)
     if not rest_use <= CERTAIN:
         raise CycleError(
-            "the plate cannot stop within the rig's limits from the cycle's start: used fraction "
-            f"is {rest_use:.3g}, allowed: 0 to {CERTAIN:g}"
+            "the plate cannot stop within the rig's limits from its state at the cycle's start: "
+            f"fraction of the limits that the stop uses is {rest_use:.3g}, allowed: 0 to "
+            f"{CERTAIN:g}"
         )
     # four rounds suffice, because the utilisation of the limits is nearly linear in `fraction`
     for _ in range(4):

@@ -35,7 +35,8 @@ undistorted image would be at infinity."""
 
 SETTLED = 1e-8
 """If a Newton step is shorter than this value [focal lengths], the iteration ends. The remaining
-error is about the square of this value, 1e-13 px."""
+error is about the square of this value: 1e-16 focal lengths, or 1e-13 px if the focal length is
+1000 px."""
 
 CONVERGED = 1e-7
 """Maximum length of the last Newton step of a valid result, as a fraction of the length of the ray
@@ -59,8 +60,8 @@ move the fold."""
 
 MARGIN = 0.05
 """Width of the border around the plate in which a lens must not fold the image, as a fraction of
-the plate's length and width. The border is needed because the plate's motion also moves parts
-beyond the plate's edges at rest."""
+the plate's length and width. The border is needed because the moving plate carries parts beyond
+the area that the plate covers at rest."""
 
 GRID = 33
 """Number of points along each side of a grid over the plate. At these points, the lens is checked

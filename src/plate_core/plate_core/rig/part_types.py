@@ -216,9 +216,9 @@ def read_part_types(fields: Fields) -> Mapping[str, PartType]:
         if not NAME.fullmatch(name) or len(name) > MAX_NAME or name in TAKEN:
             raise RigError(
                 f"{fields.where}: name of a type is {name!r}, allowed: lower-case letters, digits "
-                "and _, such as nut or nut_m4; a letter first, and a letter in each word after _; "
-                f"at most {MAX_NAME} characters; reserved are {', '.join(TAKEN)} (classes of parts "
-                "without a type)"
+                "and _, such as nut or nut_m4; the first character is a letter, and each word "
+                f"after _ contains a letter; at most {MAX_NAME} characters; reserved names: "
+                f"{', '.join(TAKEN)} (classes of parts without a type)"
             )
         types[name] = _part_type(name, fields.child(name))
     return types

@@ -176,8 +176,9 @@ def prepare(
     fitted = fit(rig, whole, thermal_load)
     if fitted.factor < 1 and not whole.starts_at_rest:
         raise CycleError(
-            f"plate_cycle: {excess(rig, fitted.requested, thermal_load)}; it begins in motion, so "
-            "it cannot be scaled down. The plate comes to rest; cycles from rest can be scaled down"
+            f"plate_cycle: {excess(rig, fitted.requested, thermal_load)}; the cycle begins in "
+            "motion, so it cannot be scaled down. The plate comes to rest; cycles from rest can "
+            "be scaled down"
         )
     command = fitted.cycle
     if correction is not None:

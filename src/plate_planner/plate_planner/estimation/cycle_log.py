@@ -395,7 +395,7 @@ def check_start(cycle: PlateCycle, begin: float, image: float | None) -> None:
         )
     if image is not None and abs(begin - image) > SAME_TIME_S:
         raise PlateError(
-            "cycle_started: delay of its stamp after that of the last image is "
+            "cycle_started: its stamp minus the stamp of the last image is "
             f"{begin - image:.1f} s, allowed: -{SAME_TIME_S:g} to {SAME_TIME_S:g} s; check that "
             "all clocks are synchronised and that the detector runs"
         )

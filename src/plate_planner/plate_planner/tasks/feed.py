@@ -383,7 +383,8 @@ class Aims:
     low, high : (M, 2)
         Target intervals [m, plate_home].
     weight : (M,)
-        Weight of the distance from the target, divided by the full weight [-].
+        Weight of the distance from the target, as a fraction of the full weight [-]. `targets`
+        computes the full weight.
     full : (M,) bool
         Whether each part has at least the full weight.
     angle, rotation, slack : (M,)

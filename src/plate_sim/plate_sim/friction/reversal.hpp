@@ -20,8 +20,8 @@
 
 namespace plate::reversing {
 
-// The method is used only if the rate of change of the slip without friction, at both ends of the
-// step, exceeds this multiple of the acceleration by static friction.
+// Minimum rate of change of the slip without friction, as a multiple of the acceleration by static
+// friction. If the rate is lower at one end of the step, the method is not used.
 constexpr double FAST = 2.0;
 // Minimum cosine of the angle between the rates of change of the slip at both ends of the step.
 constexpr double BENT = 0.9;

@@ -36,8 +36,8 @@ from .descent import BIN, Motions, Problem, descend
 from .limits import LimitedSinusoids
 
 Grid = tuple[float, int, int]
-"""Maximum step of a search [s], minimum number of steps per period of the highest harmonic, and
-number of knots of the finished cycle per such period."""
+"""Maximum time step of a motion during a search [s], minimum number of time steps per period of the
+highest harmonic, and number of knots of the finished cycle per period of this harmonic."""
 
 EXACT: Grid = (0.4e-3, 26, 8)
 """Grid for force requests. The friction model is integrated by first-order steps. Steps of 1 ms

@@ -82,8 +82,8 @@ def footprint(
     Returns
     -------
     Outline or None
-        None if no area remains. No area remains if the part is lower than `height`, or if its
-        shadow is shorter than `shadow`.
+        None if no area remains. This is the case if the actual part is lower than `height`, or if
+        its actual shadow is shorter than `shadow`.
     """
     rings = outline.rings
     seen = [rings]

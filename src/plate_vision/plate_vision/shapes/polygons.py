@@ -94,8 +94,8 @@ def simplified(name: str, what: str, ring: np.ndarray, reach: float, scale: floa
     if off > max(COARSE * reach, FINE_PX / scale):
         many = len(cv2.approxPolyDP(contour, 1.0, True))
         raise TeachError(
-            f"type {name}: its {what} has {many} corners, allowed: {MAX_CORNERS}, with a mean "
-            f"error of {scale * off:.1f} px"
+            f"type {name}: its {what} has {many} corners, allowed: {MAX_CORNERS}; a polygon with "
+            f"this maximum number has an RMS error of {scale * off:.1f} px, which is too large"
         )
     return corner
 

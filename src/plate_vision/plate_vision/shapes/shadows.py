@@ -65,9 +65,9 @@ WIDE_PX = 25.0
 """Edge width above which a patch is always a shadow [px]."""
 
 DARK_WIDTH = 0.6
-"""Minimum width of a patch's dark side, relative to the width of its light side. The median over
-all patches with a light side is used. If the dark sides are narrower than this, they are the side
-faces of high parts. The light sides are then not shadows but the tops of these parts."""
+"""Minimum ratio of the width of a patch's dark side to the width of its light side. If the median of
+this ratio over all patches with a light side is lower, the dark sides are the side faces of high
+parts. The light sides are then not shadows but the tops of these parts."""
 
 MIN_AREA_PX2 = 30
 """Minimum area of a patch whose edges are evaluated [px2]."""
