@@ -71,7 +71,7 @@ def test_better_and_faster_agents_come_first(tmp_path):
         ("{}", r"slow\.json: result has , allow"),
         (
             json.dumps(few),
-            r"slow\.json: Sort4-v1: seeds are 0:3, 4:20, allowed: 0, 1, 2, ... without gaps, at least 20",
+            r"slow\.json: Sort4-v1: seeds are 0:3, 4:20, allowed: 0, 1, 2, .* at least 20 seeds",
         ),
     ):
         (tmp_path / "slow.json").write_text(text, encoding="utf-8")

@@ -34,8 +34,8 @@ FIRST_SEED, SEEDS = 82000, 5
 
 
 def measure(quick: bool) -> Result:
-    """Measure the tracking error of two parts that follow rectangles. The runs are repeated for each
-    setting of the camera."""
+    """Measure the tracking error of two parts that follow rectangles, for each setting of the
+    camera."""
     values, rig = {"image_rate": (30.0,)} if quick else VALUES, load_rig()
     cameras = {("triggered", 0.0): TRIGGERED} | {
         (changed, value): USUAL | {changed: value}

@@ -36,8 +36,8 @@ laps."""
 
 MAX_RMS_M, MAX_DELAY = 6e-3, 1.05
 """Limits for a speed that counts as reached. The first limit is the maximum RMS error of a run
-[m], a hundredth of the plate's length. The second limit is the maximum ratio of the actual time to the time at this
-speed. All runs must also succeed."""
+[m], a hundredth of the plate's length. The second limit is the maximum ratio of the actual time to
+the time at this speed. All runs must also succeed."""
 
 
 def measure(quick: bool) -> Result:

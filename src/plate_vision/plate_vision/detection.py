@@ -302,7 +302,8 @@ def find_discs(
     `plate.contrast`. The second step finds fainter parts, brighter parts, parts of another colour,
     and parts with highlights or holes. If many objects have a large misfit, the third step searches
     for shadows that are the same for all parts. `shadow` is the shadow in the previous image. The
-    third step tries this shadow first. If `search` is false, the third step is omitted to save time.
+    third step tries this shadow first. If `search` is false, the third step is omitted to save
+    time.
     """
     plate = fit_light(grey_levels(image), region, options.min_plate_grey)
     if plate is None:

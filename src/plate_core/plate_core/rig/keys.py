@@ -93,8 +93,9 @@ CAMERA = Section(
             "1 ms.", 0.002,
         ),
         Key(
-            "corners_px", Numbers((4, 2), -16384, 32768), "Pixels of the corners (-x,-y), (+x,-y), "
-            "(+x,+y), (-x,+y) of the plate at rest, in images with lens distortion.",
+            "corners_px", Numbers((4, 2), -16384, 32768), "Pixel coordinates of the corners "
+            "(-x,-y), (+x,-y), (+x,+y), (-x,+y) of the plate at rest, in images whose lens "
+            "distortion is not removed.",
         ),
         Key(
             "focal_px", Numbers((2,), 1, 1e6), "Focal lengths fx, fy: entries of the matrix K in "

@@ -65,8 +65,8 @@ WIDE_PX = 25.0
 """Edge width above which a patch is always a shadow [px]."""
 
 DARK_WIDTH = 0.6
-"""Minimum ratio of the width of a patch's dark side to the width of its light side. If the median of
-this ratio over all patches with a light side is lower, the dark sides are the side faces of high
+"""Minimum ratio of the width of a patch's dark side to the width of its light side. If the median
+of this ratio over all patches with a light side is lower, the dark sides are the side faces of high
 parts. The light sides are then not shadows but the tops of these parts."""
 
 MIN_AREA_PX2 = 30
