@@ -94,7 +94,7 @@ def test_the_control_law_of_ones_own_needs_no_ros(monkeypatch, tmp_path):
 @pytest.mark.parametrize(
     ("answer", "message"),
     [
-        ("None", "plan returned NoneType, allowed: a plate_core.CycleRequest"),
+        ("None", "returned a NoneType, allowed: a plate_core.CycleRequest"),
         (
             "CycleRequest.make(parts, np.full((n, 2), np.nan))",
             "force of black_1 is nan, allowed",

@@ -128,7 +128,7 @@ def test_a_file_of_something_else_is_refused(tmp_path):
         with pytest.raises(PlateError, match="not a valid calibration"):
             saved_response(path)
     np.savez_compressed(path, frequency=np.zeros(20_000_000), matrix=2.0, lever=3.0)
-    with pytest.raises(PlateError, match=r"it unpacks to 160\d+ bytes, allowed: up to 1000000"):
+    with pytest.raises(PlateError, match=r"160\d+ bytes, allowed: up to 1000000"):
         saved_response(path)
     path.write_bytes(b"hello")
     with pytest.raises(PlateError, match="not a valid calibration"):

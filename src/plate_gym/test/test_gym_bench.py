@@ -71,8 +71,8 @@ def test_ours_sorts_and_is_the_same_again(bench, result):
 @pytest.mark.parametrize(
     ("key", "value", "words"),
     [
-        ("time_s", 1.0, "seed 1: time_s is 1.0, repeated: "),
-        ("places", "00", "seed 1: places is '00', repeated: "),
+        ("time_s", 1.0, "seed 1: time_s is 1.0 in the result, "),
+        ("places", "00", "seed 1: places is '00' in the result, "),
     ],
 )
 def test_what_was_changed_is_noticed(bench, result, key, value, words, monkeypatch):
@@ -189,7 +189,9 @@ def test_fresh_seeds_show_a_share_that_was_picked(bench, result, monkeypatch, go
     monkeypatch.setattr(bench, "episode", episode)
     found = json.loads(json.dumps(bench.evaluate("A", "Sort4-v1", range(20))))
     wrong = bench.check(found, told.append, fresh=20)
-    assert wrong == ([] if good else ["Sort4-v1: success is 1.0, 0.0 with fresh seeds"])
+    assert wrong == (
+        [] if good else ["Sort4-v1: success is 1.0 in the result, 0.0 with fresh seeds"]
+    )
     assert ", nominal, fresh seeds " in told[-1]
     assert bench.check(found, told.append, fresh=20, world="held_out") == []  # nothing was claimed
     assert "   0 % (0 to 16)" in told[-1]
@@ -288,7 +290,7 @@ def test_an_agent_is_imported_only_if_the_reviewer_trusts_it(bench, result, tmp_
     assert not (tmp_path / "imported").exists()
     wrong = bench.check(claimed, trusted="stranger:Lazy")
     assert (tmp_path / "imported").exists()
-    assert any("success is True, repeated: False" in text for text in wrong)
+    assert any("success is True in the result, False here" in text for text in wrong)
 
 
 @pytest.mark.parametrize(
@@ -454,16 +456,20 @@ def test_a_second_call_runs_only_missing_episodes(bench, result, monkeypatch, tm
 @pytest.mark.parametrize(
     ("place", "value", "words"),
     [
-        (("agent",), "B", "agent is B in it, A now; allowed: "),
-        (("world",), "friction", "world is friction in it, nominal now; "),
-        (("sources",), "of another commit", "sources is of another commit in it, "),
-        (("versions", "numpy"), "1.0", "numpy is 1.0 in it, 2."),
-        (("versions", "shapely"), "1.0", "shapely is 1.0 in it, 2."),
-        (("versions", "first cycles"), "00", "first cycles is 00 in it, "),
-        (("limits", "decision_s"), 5.0, "decision_s is 5.0 in it, 60.0 now; "),
-        (("limits", "memory_gb"), 1.0, "memory_gb is 1.0 in it, 4.0 now; "),
-        (("files", "weights.npz"), "00", "file weights.npz is 00 in it, None now; "),
-        (("limits",), None, "decision_s is None in it, 60.0 now; memory_gb is None in it, 4.0"),
+        (("agent",), "B", "agent was B and is now A; allowed: "),
+        (("world",), "friction", "world was friction and is now nominal; "),
+        (("sources",), "of another commit", "sources was of another commit and is now "),
+        (("versions", "numpy"), "1.0", "numpy was 1.0 and is now 2."),
+        (("versions", "shapely"), "1.0", "shapely was 1.0 and is now 2."),
+        (("versions", "first cycles"), "00", "first cycles was 00 and is now "),
+        (("limits", "decision_s"), 5.0, "decision_s was 5.0 and is now 60.0; "),
+        (("limits", "memory_gb"), 1.0, "memory_gb was 1.0 and is now 4.0; "),
+        (("files", "weights.npz"), "00", "file weights.npz was 00 and is now None; "),
+        (
+            ("limits",),
+            None,
+            "decision_s was None and is now 60.0; memory_gb was None and is now 4.0",
+        ),
     ],
 )
 def test_a_result_of_other_terms_is_not_continued(
@@ -528,7 +534,7 @@ def test_a_result_of_other_weights_is_not_continued(bench, monkeypatch, tmp_path
     (tmp_path / "weights.npz").write_bytes(b"2")
     assert bench.main() == 2
     mark = own["weights.npz"]
-    assert f"continued: file weights.npz is {mark} in it, " in capsys.readouterr().err
+    assert f"continued: file weights.npz was {mark} and is now " in capsys.readouterr().err
 
 
 def test_a_summary_is_of_its_rows(bench, result, monkeypatch):
@@ -673,7 +679,7 @@ def ended(main):
             2,
             "--agent, --seeds is given with --check",
         ),
-        (["--fresh", "3"], 2, "--fresh requires --check"),
+        (["--fresh", "3"], 2, "--fresh is 3, allowed: 1 to 100000, together with --check"),
         (["--check", "false.json", "--world", "latency"], 2, "--world is given with --check"),
         (["--check", "false.json", "--fresh", "1", "--world", "moon"], 2, "world is 'moon'"),
         (["--workers", "0"], 2, "--workers is 0, allowed: 1 or more"),
@@ -682,7 +688,7 @@ def ended(main):
         (
             ["--check", "false.json"],
             1,
-            "Sort4-v1, seed 0: dropped is 1, repeated: 0",
+            "Sort4-v1, seed 0: dropped is 1 in the result, 0 here",
         ),
         (["--seeds", "5:1"], 2, "is '5:1', allowed: FIRST:END"),
         (["--seeds", f"0:{10**20}"], 2, "allowed: FIRST:END, at most 100000 of them"),
