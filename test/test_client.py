@@ -13,6 +13,7 @@ import pytest
 pytest.importorskip("rclpy")
 
 from cases.goals import storm
+from graph.observer import CALL_AGAIN
 from graph.session import session
 from light_graph import LightOptions
 
@@ -20,8 +21,13 @@ from plate_bringup import GraphError
 from plate_client import PlateClient
 from plate_core import PlateError
 from plate_core.tasks import load_scenario
+from plate_driver.safety.node import LATE
 
 SORT_4 = load_scenario("sort_4")
+
+
+def test_the_refusal_of_a_stalled_driver_ends_with_the_text_that_the_demo_expects():
+    assert LATE.endswith(CALL_AGAIN)
 
 
 def test_random_goals_are_all_answered_and_the_plate_rests(tmp_path, monkeypatch):
