@@ -79,11 +79,12 @@ def test_better_and_faster_agents_come_first(tmp_path):
             leaderboard.tables(tmp_path)
 
 
-def test_the_network_that_has_learned_sorts(monkeypatch):
+@pytest.mark.parametrize("task", ["Sort4-v1", "Sort10-v1"])
+def test_the_network_that_has_learned_sorts(monkeypatch, task):
     """From starts that it has never seen: training draws other ones, and judges other seeds."""
     from plate_gym.episode import episode
 
     monkeypatch.syspath_prepend(ROOT / "examples/agents")
-    rows = [episode("learned:Learned", "nominal", "Sort4-v1", seed) for seed in (1000, 1001, 1002)]
+    rows = [episode("learned:Learned", "nominal", task, seed) for seed in (1000, 1001, 1002)]
     assert sum(row["success"] for row in rows) >= 2
     assert max(row["limit_share"] for row in rows) <= 1
