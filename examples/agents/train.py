@@ -25,10 +25,10 @@ weights of the first stage. On the seeds 0 to 99, which were not used before, an
 limit of 120 s, the network sorted these fractions of the plates:
 
     world                   nominal friction  latency   misses held_out
-    ten parts: done [%]         100       92       96       99       65
-    plate time, median [s]     24.7     23.4     22.9     23.6     26.3
+    ten parts: done [%]         100       88       98       97       67
+    plate time, median [s]     24.7     23.2     23.1     23.9     27.2
     four parts: done [%]        100      100      100      100      100
-    plate time, median [s]      6.2      6.2      6.4      6.3      6.6
+    plate time, median [s]      6.2      6.2      6.4      6.3      6.7
 
 With ten parts, the plate time is four times as long as with Method B, and twice as long as with
 Method A. Random motions sort no plate. With 24 parts, the network sorted none of 20 plates in 240
