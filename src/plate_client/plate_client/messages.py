@@ -30,22 +30,21 @@ def spin_until(
 
     Ctrl-C raises KeyboardInterrupt only between two messages. An exception during the processing of
     a message could lose a reply. This reply may contain the handle of a running task. Without the
-    handle, the task could not be canceled.
+    handle, the task could not be canceled. Other threads than the main thread
+    ignore Ctrl-C.
 
     Raises
     ------
     KeyboardInterrupt
         If a signal was received. The exception contains the number of the signal.
     """
-    deferred = (
-        threading.current_thread() is threading.main_thread()
-        and signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    )
+    main = threading.current_thread() is threading.main_thread()
+    deferred = main and signal.getsignal(signal.SIGINT) is signal.default_int_handler
     if deferred:
         signal.signal(signal.SIGINT, _note)
     end, held = time.monotonic() + timeout_s, True
     try:
-        while not (_noted or true()):
+        while not ((main and _noted) or true()):
             if time.monotonic() > end:
                 held = False
                 break
@@ -53,7 +52,7 @@ def spin_until(
     finally:
         if deferred:
             signal.signal(signal.SIGINT, signal.default_int_handler)
-    if _noted:
+    if main and _noted:
         number = _noted[0]
         _noted.clear()
         raise KeyboardInterrupt(number)

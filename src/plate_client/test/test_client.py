@@ -1,6 +1,9 @@
 """The client without a planner, or with a planner that sends nothing."""
 
 import os
+import subprocess
+import sys
+import threading
 from types import SimpleNamespace
 
 import pytest
@@ -12,7 +15,7 @@ from plate_client.ros import client
 from plate_core import PlateError
 from plate_core.tasks import PartTarget
 from plate_interfaces.action import SortParts
-from plate_interfaces.msg import TaskProgress
+from plate_interfaces.msg import TaskProgress, TaskStatus
 
 
 def test_targets_without_subscribers_are_reported(monkeypatch):
@@ -94,3 +97,101 @@ def test_a_goal_that_is_refused_at_once_has_ended(silent):
 
     plate._until = until
     assert plate.start(SortParts.Goal()).status.text == "the planner refused the goal"
+
+
+def program(text):
+    """Execute a program, and return its exit code and its errors."""
+    lines = "import os, signal, threading, time\nfrom plate_client import PlateClient\n" + text
+    done = subprocess.run(
+        [sys.executable, "-c", lines], timeout=60, capture_output=True, text=True, check=False
+    )
+    return done.returncode, done.stderr
+
+
+def test_a_program_may_end_without_closing_its_client():
+    assert program("held = PlateClient.connect()\nheld.__enter__()") == (0, "")
+
+
+def test_an_interrupt_while_the_client_closes_ends_the_program_normally():
+    text = """
+def interrupt():
+    closing.wait()
+    time.sleep(0.03)
+    os.kill(os.getpid(), signal.SIGINT)
+closing = threading.Event()
+threading.Thread(target=interrupt, daemon=True).start()
+try:
+    with PlateClient.connect():
+        time.sleep(0.2)
+        closing.set()
+    time.sleep(5.0)
+except KeyboardInterrupt:
+    pass
+"""
+    assert program(text) == (0, "")
+
+
+def test_a_forked_process_is_told_that_it_has_no_client():
+    text = """
+with PlateClient.connect() as plate:
+    if (child := os.fork()) == 0:
+        try:
+            plate.move_targets([])
+        except Exception as problem:
+            os._exit(3 if "the client is closed" in str(problem) else 4)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 3
+"""
+    assert program(text) == (0, "")
+
+
+def test_a_closed_client_says_so_in_all_threads():
+    problems = []
+
+    def wait():
+        with pytest.raises(PlateError, match="the client is closed") as caught:
+            plate._until(lambda: False, 10.0)
+        problems.append(caught.value)
+
+    with PlateClient.connect(f"/closed_{os.getpid()}") as plate:
+        waiting = threading.Thread(target=wait)
+        waiting.start()
+    waiting.join()
+    assert problems
+    task = client.Task("sort_parts", lambda feedback, answer: None)
+    for call in (
+        lambda: plate.start(SortParts.Goal()),
+        lambda: plate.wait(task),
+        lambda: plate.cancel(task),
+        lambda: plate.move_targets([]),
+    ):
+        with pytest.raises(PlateError, match="the client is closed"):
+            call()
+
+
+def test_two_clients_of_a_process_have_different_names():
+    with PlateClient.connect() as one, PlateClient.connect() as other:
+        assert one.node.get_name() != other.node.get_name()
+
+
+@pytest.mark.parametrize("why", [KeyboardInterrupt, PlateError])
+def test_run_cancels_a_task_that_it_no_longer_waits_for(silent, monkeypatch, why):
+    plate, task = silent
+    canceled = []
+
+    def cancel():
+        canceled.append(task)
+        task.status = TaskStatus(state=TaskStatus.ABORTED)
+
+    task._handle = SimpleNamespace(cancel_goal_async=cancel)
+    monkeypatch.setattr(plate, "start", lambda scenario: task)
+    task.send()
+
+    def until(true, timeout_s):
+        if not canceled and timeout_s > 0 and why is KeyboardInterrupt:
+            raise KeyboardInterrupt
+        return true()
+
+    plate._until = until
+    with pytest.raises(why):
+        plate.run(SortParts.Goal(), 0.0)
+    assert canceled == [task]

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import threading
 import time
 
 import pytest
@@ -64,3 +65,12 @@ def test_it_ends_when_the_condition_holds_or_the_time_is_over():
     assert spin_until(handled.append, lambda: len(handled) == 3, 10.0)
     assert len(handled) == 3
     assert not spin_until(time.sleep, lambda: False, 0.05)
+
+
+def test_another_thread_leaves_an_interrupt_to_the_main_thread():
+    held = []
+    other = threading.Thread(target=lambda: held.append(spin_until(time.sleep, bool, 0.5)))
+    other.start()
+    with pytest.raises(KeyboardInterrupt):
+        spin_until(lambda wait_s: (interrupt(), other.join()), lambda: False, 10.0)
+    assert held == [False]

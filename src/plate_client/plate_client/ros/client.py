@@ -8,11 +8,13 @@ with PlateClient.connect() as plate:
 
 from __future__ import annotations
 
+import atexit
 import os
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from itertools import count
 from typing import Any
 
 import rclpy
@@ -55,6 +57,9 @@ planner that was just discovered."""
 
 SPIN_S = 0.1
 """Maximum time for which the background thread of `PlateClient.connect` waits for a message [s]."""
+
+_NUMBERS = count(1)
+"""Numbers of the nodes of `PlateClient.connect`. Two nodes with one name would share their log."""
 
 Callback = Callable[[Any], None]
 
@@ -187,15 +192,17 @@ class PlateClient:
         variable ROS_DOMAIN_ID.
 
         A background thread processes the node's messages, so `Task.progress` is always current. All
-        methods may be called in any thread.
+        methods may be called in any thread. At the end of the context, the client is closed. Then
+        waiting methods raise a PlateError in all threads.
         """
         choose_network(os.environ)
         context = rclpy.Context()
         rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
-        node = Node(f"plate_client_{os.getpid()}", namespace=namespace, context=context)
+        name = f"plate_client_{os.getpid()}_{next(_NUMBERS)}"
+        node = Node(name, namespace=namespace, context=context)
         executor = SingleThreadedExecutor(context=context)
         executor.add_node(node)
-        closing = threading.Event()
+        closing, ended, process = threading.Event(), threading.Event(), os.getpid()
         problems: list[Exception] = []
 
         def spin() -> None:
@@ -204,24 +211,44 @@ class PlateClient:
                     executor.spin_once(SPIN_S)
                 except Exception as problem:
                     problems.append(problem)
+            closing.wait()
+            # Ctrl-C interrupts only the main thread. Therefore this thread destroys the node.
+            try:
+                client.close()
+                executor.shutdown()
+                node.destroy_node()
+                rclpy.shutdown(context=context)
+            finally:
+                ended.set()
+
+        def closed() -> bool:
+            # a forked process has no background thread
+            return closing.is_set() or os.getpid() != process
 
         def until(true: Callable[[], bool], timeout_s: float) -> bool:
-            held = spin_until(time.sleep, lambda: bool(problems) or true(), timeout_s)
+            held = spin_until(time.sleep, lambda: bool(problems) or closed() or true(), timeout_s)
             if problems:
                 raise problems[0]
+            if closed():
+                raise PlateError("the client is closed; call its methods inside its `with` block")
             return held
+
+        def end() -> None:
+            closing.set()
+            # Wait for an event, because `Thread.join` of Python 3.11 has an error: if Ctrl-C
+            # interrupts it, the next call returns although the thread is still running.
+            if os.getpid() == process:
+                ended.wait()
 
         client, spinning = cls(node, until), threading.Thread(target=spin, daemon=True)
         spinning.start()
+        # If the thread still waits for messages when the interpreter ends, the process aborts.
+        atexit.register(end)
         try:
             yield client
         finally:
-            closing.set()
-            spinning.join()
-            client.close()
-            executor.shutdown()
-            node.destroy_node()
-            rclpy.shutdown(context=context)
+            end()
+            atexit.unregister(end)
 
     def close(self) -> None:
         """Destroy the action clients. The client does not destroy the node."""
@@ -342,7 +369,8 @@ class PlateClient:
             self._until(lambda: False, AGAIN_S)
 
     def run(self, scenario: Scenario | Any, timeout_s: float = float("inf")) -> TaskStatus:
-        """Execute a task, and return its last status.
+        """Execute a task, and return its last status. If the wait for the task ends early, because
+        of Ctrl-C or a PlateError, the task is canceled.
 
         Raises
         ------
@@ -351,7 +379,14 @@ class PlateClient:
         PlateError
             In the same cases as `wait`.
         """
-        status = self.wait(self.start(scenario), timeout_s)
+        task = self.start(scenario)
+        try:
+            status = self.wait(task, timeout_s)
+        # the caller cannot cancel the task, because it has no handle of the task
+        except (KeyboardInterrupt, PlateError):
+            with suppress(PlateError):
+                self.cancel(task)
+            raise
         if status.state != TaskStatus.DONE:
             raise TaskError(status)
         return status
@@ -361,12 +396,15 @@ class PlateClient:
 
         Ctrl-C ends the wait, but only after the planner has received the request.
         """
-        task.cancel()
+        requested = False
         while True:
             try:
+                self._until(lambda: True, 0.0)  # a closed client raises its PlateError here
+                task.cancel()
+                requested = True
                 return self.wait(task, CANCEL_S)
             except KeyboardInterrupt:
-                if task.accepted:
+                if requested and task.accepted:
                     raise
 
     def _spin_until(self, true: Callable[[], bool], timeout_s: float) -> bool:
