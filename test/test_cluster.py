@@ -158,6 +158,31 @@ def test_waiting_runs_reach_a_worker_that_is_admitted_slowly(processes, tmp_path
         assert numbers(runs) == list(range(3))
 
 
+LOST_ADMISSION = """
+from distributed import Worker
+
+calls = []
+
+async def lost_once(worker, real=Worker.set_resources, **resources):
+    calls.append(resources)
+    if len(calls) > 1:
+        return await real(worker, **resources)
+    worker.state.available_resources.update(resources)  # Dask also changes these first
+    worker.state.total_resources.update(resources)
+    raise OSError("the connection is lost")
+
+Worker.set_resources = lost_once
+"""
+
+
+def test_a_worker_is_admitted_again_if_the_scheduler_did_not_receive_it(processes, tmp_path):
+    (tmp_path / "lost.py").write_text(LOST_ADMISSION, encoding="utf-8")
+    with Cluster(processes.address) as pool:
+        runs = submitted(pool, 3)
+        processes.worker("--preload", str(tmp_path / "lost.py"))
+        assert [run.result(20.0)[2] for run in runs] == list(range(3))
+
+
 def test_no_run_is_lost_with_a_scheduler_that_restarts(processes, pool):
     runs = submitted(pool, 20)
     next(as_completed(runs, WAIT_S))

@@ -378,7 +378,14 @@ async def _admit(
         _make_bench_importable()
     found = differences(expected, await asyncio.to_thread(facts, *terms))
     if not found and key not in dask_worker.state.total_resources:
-        await dask_worker.set_resources(**{key: 1})
+        try:
+            await dask_worker.set_resources(**{key: 1})
+        except BaseException:
+            # Dask changes the worker before it informs the scheduler. Undo this change, so that the
+            # next check informs the scheduler again.
+            dask_worker.state.total_resources.pop(key, None)
+            dask_worker.state.available_resources.pop(key, None)
+            raise
         # The scheduler sends waiting runs to a worker only when the worker's status changes to
         # running. Therefore pause and resume the worker. No other task may run between these two
         # changes, because Dask's memory monitor can also end a pause.
