@@ -171,18 +171,27 @@ class CameraStandIn:
         self.picture = Camera(rig).render(world.position, grey, rng)
         self.observer = observer
         self.images = observer.node.create_publisher(Image, "image_raw", IMAGE)
+        self.published_at = 0.0
 
     def stream(self, until, timeout_s=10.0, **changes):
         """Publish at 10 Hz until something holds; with changed fields if given."""
         for _ in range(int(10 * timeout_s)):
-            stamp = to_time(time.time_ns())
-            msg = array_to_image(changes.pop("picture", self.picture), stamp)
-            for name, value in changes.items():
-                setattr(msg, name, value)
-            self.images.publish(msg)
+            self.publish(**changes)
             if self.observer.until(until, 0.1):
                 return True
         return False
+
+    def publish(self, **changes):
+        msg = array_to_image(changes.pop("picture", self.picture), to_time(time.time_ns()))
+        for name, value in changes.items():
+            setattr(msg, name, value)
+        self.images.publish(msg)
+        self.published_at = time.monotonic()
+
+    def pulse(self):
+        """Publish at 10 Hz while the observer waits for something else."""
+        if time.monotonic() > self.published_at + 0.1:
+            self.publish()
 
 
 WRONG_IMAGES = {
@@ -206,10 +215,15 @@ def test_images_that_do_not_fit_leave_the_plate_at_rest(tmp_path, domain):
             return bool(record.tables) and not at_rest(tables(record)[-1])
 
         def started():
+            """Without images, the inputs of the task would be overdue at its start on a busy
+            machine."""
+            observer.pulses.append(camera.pulse)
             try:
                 observer.start(load_scenario("sort_4"), 0.0)
             except GraphError:
                 return False
+            finally:
+                observer.pulses.remove(camera.pulse)
             record.tasks.clear()
             record.tables.clear()
             return True
