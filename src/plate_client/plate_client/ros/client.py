@@ -235,7 +235,7 @@ class PlateClient:
 
         def end() -> None:
             closing.set()
-            # Wait for an event, because `Thread.join` of Python 3.11 has an error: if Ctrl-C
+            # Wait for an event, because `Thread.join` of some Pythons has an error: if Ctrl-C
             # interrupts it, the next call returns although the thread is still running.
             if os.getpid() == process:
                 ended.wait()
