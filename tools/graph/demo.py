@@ -79,7 +79,7 @@ LINE_BYTES = 4096
 """Maximum length of a terminal's input line [bytes] (N_TTY_BUF_SIZE of Linux)."""
 
 MAX_PICKS = 10_000
-"""Maximum number of parts that a robot is asked to take."""
+"""Maximum number of parts that a demo lets a robot take."""
 
 DRIVES = {"cia402": "linear_motors", "odrive": "odrives"}
 """Values of --transport that run the firmware on this computer with simulated drives, and the

@@ -30,8 +30,7 @@ def spin_until(
 
     Ctrl-C raises KeyboardInterrupt only between two messages. An exception during the processing of
     a message could lose a reply. This reply may contain the handle of a running task. Without the
-    handle, the task could not be canceled. Other threads than the main thread
-    ignore Ctrl-C.
+    handle, the task could not be canceled. Only the main thread reacts to Ctrl-C.
 
     Raises
     ------

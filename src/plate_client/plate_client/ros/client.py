@@ -209,7 +209,7 @@ class PlateClient:
             while not (closing.is_set() or problems):
                 try:
                     executor.spin_once(SPIN_S)
-                except Exception as problem:
+                except Exception as problem:  # `until` raises it in the thread of the caller
                     problems.append(problem)
             closing.wait()
             # Ctrl-C interrupts only the main thread. Therefore this thread destroys the node.

@@ -163,7 +163,7 @@ class LineModel:
 
     @property
     def lossy(self) -> bool:
-        """Whether the line loses so many bytes that messages are sent in several copies."""
+        """Whether messages are sent in several copies, because the line loses many bytes."""
         return self.answered < LOSSY
 
     @property

@@ -302,8 +302,9 @@ class Simulation:
         return ~self.state.on_plate & ~self._robot.has(self.state.ids)
 
     def _forget(self) -> None:
-        """Remove from the state those parts that later images cannot show. Such parts are those
-        that the robot has taken and, in a feed task, those that left the plate."""
+        """Remove from the state those parts that later images cannot show. These
+        are the parts that the robot has taken and, in a feed task, the parts that left the
+        plate."""
         state, history = self.state, self._view.history
         if np.all(state.on_plate) or not (self._feeds or self._robot.taken):
             return
