@@ -30,9 +30,9 @@ limit of 120 s, the network sorted these fractions of the plates:
     four parts: done [%]        100      100      100      100      100
     plate time, median [s]      6.2      6.2      6.4      6.3      6.7
 
-With ten parts, the plate time is four times as long as with Method B, and twice as long as with
-Method A. Random motions sort no plate. With 24 parts, the network sorted none of 20 plates in 240
-s, and reduced the mean distance to go from 190 to 24 mm.
+With ten parts, the network takes four times as long as Method B, and twice as long as Method A.
+Random motions sort no plate. With 24 parts, the network sorted none of 20 plates in 240 s, and
+reduced the mean distance to go from 190 to 24 mm.
 
 With ten parts, a network with concatenated parts sorted no plate after 1,000 updates, and one with
 averaged features none of 30 after 2,353 updates. Powers of the position up to degree 1, 2 and 3
@@ -114,7 +114,8 @@ class Stage:
     beyond_m : float
         Distance of the cost's target lines beyond the goal lines [m].
     round_m : float
-        Distance to go below which the cost is nearly quadratic, and above nearly linear [m].
+        Remaining distance of a part [m] at which its cost changes from nearly quadratic (below) to
+        nearly linear (above).
     """
 
     updates: int

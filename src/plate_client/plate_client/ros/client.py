@@ -192,8 +192,8 @@ class PlateClient:
         variable ROS_DOMAIN_ID.
 
         A background thread processes the node's messages, so `Task.progress` is always current. All
-        methods may be called in any thread. At the end of the context, the client is closed. Then
-        waiting methods raise a PlateError in all threads.
+        methods may be called in any thread. At the end of the context, the client is closed.
+        Methods that are still waiting in other threads then raise a PlateError.
         """
         choose_network(os.environ)
         context = rclpy.Context()

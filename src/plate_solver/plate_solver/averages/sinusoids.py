@@ -84,10 +84,10 @@ def invert(
 ) -> InversionResult:
     """Find a motion with the requested average forces.
 
-    If the slip of a part nearly vanishes at two close times, the quadrature of the search may count
-    both as one. In this case, the error of the finished spline may exceed the tolerance. The motion
-    is then corrected with an adaptive quadrature. If this also fails, the search is repeated from
-    other starts.
+    If the slip of a part is nearly zero at two times that are close together, the quadrature of the
+    search may treat them as one time. In this case, the error of the finished spline may exceed the
+    tolerance. The motion is then corrected with an adaptive quadrature. If this also fails, the
+    search is repeated from other starts.
 
     Parameters
     ----------

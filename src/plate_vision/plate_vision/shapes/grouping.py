@@ -476,8 +476,8 @@ def _halves(piece: Piece, kinds: list[Traits], work: Work) -> list[Piece] | None
 
 def _across(points: np.ndarray, start: int) -> np.ndarray:
     """Return the points (k, 2) of a contour at which a cut from point `start` may end. These points
-    are local minima of the distance from `start`. The points are near `start` along a straight
-    line, but far from it along the contour."""
+    are local minima of the distance from `start`. Their straight-line distance from
+    `start` is short, but their distance along the contour is long."""
     gap = np.hypot(*(points - points[start]).T)
     around = np.arange(len(points))
     along = np.minimum((around - start) % len(points), (start - around) % len(points))

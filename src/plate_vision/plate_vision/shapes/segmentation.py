@@ -414,8 +414,8 @@ def _patch(piece: Piece, window: Window, region: Region | None) -> Patch | None:
     framed = cv2.copyMakeBorder(body, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
     if np.max(cv2.distanceTransform(framed, cv2.DIST_L2, 3)) < MIN_DEPTH_PX:
         return None
-    # The mask does not contain edge pixels that the part covers by less than half. `cover` contains
-    # these pixels, unless they belong to other pieces.
+    # The mask excludes edge pixels of which the part covers less than half. `cover` contains these
+    # pixels, unless they belong to other pieces.
     near = cv2.dilate(inside, np.ones((3, 3), np.uint8)) > 0
     others = window.solid[here] & (inside == 0)
     cover = np.where(near & ~others, window.cover[here], np.float32(0))
