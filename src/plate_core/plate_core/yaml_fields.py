@@ -480,7 +480,7 @@ def parse_yaml(content: bytes, path: str | Path, error: type[PlateError]) -> Fie
     try:
         data, mistake = _load(content.decode("utf-8"))
     except UnicodeDecodeError as problem:
-        raise error(f"{path}: cannot be read ({problem})") from None
+        raise error(f"{path}: is no text in UTF-8 ({problem}), allowed: UTF-8") from None
     except yaml.YAMLError as problem:
         mark = getattr(problem, "problem_mark", None)
         line = f" at line {mark.line + 1}" if mark is not None else ""
@@ -550,19 +550,33 @@ WITH_COMMA = re.compile(r"[-+]?\d+,\d+")
 """Pattern of a number with a decimal comma. YAML reads such a number as text. Inside braces, as in
 `{mu: 0,3}`, YAML reads the number 0 and a key 3 without a value."""
 
+NOT_DECIMAL = re.compile(r"[-+]?(?:0[0-7_]+|[0-9][0-9_]*(?::[0-5]?[0-9])+(?:\.[0-9_]*)?)")
+"""Pattern of a number that YAML 1.1 does not read as decimal: 0640 is octal, 416, and 2:30 has the
+base 60, 150."""
 
-def _mistake(node: yaml.Node | None, seen: set[yaml.Node]) -> str:
-    """Return a message about the first decimal comma, or about the first key that occurs twice in
-    one mapping, at any depth. The message is empty if the text contains neither mistake. PyYAML
-    accepts both mistakes without an error.
+
+def _mistake(node: yaml.Node | None, seen: set[yaml.Node], of: str = "file") -> str:
+    """Return a message about the first decimal comma, the first number of another base, or the
+    first key that occurs twice in one mapping, at any depth. The message is empty if the text
+    contains none of these mistakes. PyYAML accepts them without an error.
 
     A node with several references (YAML aliases) is examined only once, even if it contains itself.
+    `of` is the key whose value the node is.
     """
     if node is None or node in seen:
         return ""
     seen.add(node)
     if isinstance(node, yaml.SequenceNode):
-        return next(filter(None, (_mistake(item, seen) for item in node.value)), "")
+        return next(filter(None, (_mistake(item, seen, of) for item in node.value)), "")
+    if isinstance(node, yaml.ScalarNode):
+        number = node.tag.rsplit(":", 1)[-1] in ("int", "float")
+        if not number or not NOT_DECIMAL.fullmatch(node.value):
+            return ""
+        line, value = node.start_mark.line + 1, yaml.safe_load(node.value)
+        return (
+            f"{of} is {node.value} at line {line}, which YAML reads as {value:g}, "
+            "allowed: a decimal number without leading zeros and colons"
+        )
     if not isinstance(node, yaml.MappingNode):
         return ""
     lines: dict[str, int] = {}
@@ -570,15 +584,15 @@ def _mistake(node: yaml.Node | None, seen: set[yaml.Node]) -> str:
     for key, value in node.value:
         line, name = key.start_mark.line + 1, str(key.value)
         text = value.value if isinstance(value, yaml.ScalarNode) else "-"
-        of, number = (name, text) if text else (before[0], f"{before[1]},{name}")
+        named, number = (name, text) if text else (before[0], f"{before[1]},{name}")
         if WITH_COMMA.fullmatch(number):
             point = number.replace(",", ".")
-            return f"{of} is {number} at line {line}, allowed: a decimal point, {point}"
+            return f"{named} is {number} at line {line}, allowed: a decimal point, {point}"
         before = name, text
         if name in lines:
             return f"key {name} occurs twice, at line {lines[name]} and at line {line}; remove one"
         lines[name] = line
-        mistake = _mistake(value, seen)
+        mistake = _mistake(value, seen, name)
         if mistake:
             return mistake
     return ""

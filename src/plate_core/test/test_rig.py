@@ -283,6 +283,6 @@ def test_a_rig_file_that_is_edited_is_a_regular_file(tmp_path):
         edit_rig(path, {}, lambda rig: True)
     path.unlink()
     path.write_bytes(b"\xff")
-    with pytest.raises(PlateError, match=r"rig\.yaml: cannot be read \('utf-8'"):
+    with pytest.raises(PlateError, match=r"rig\.yaml: is no text in UTF-8 \('utf-8'"):
         edit_rig(path, {}, lambda rig: True)
     assert path.read_bytes() == b"\xff"

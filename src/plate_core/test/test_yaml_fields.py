@@ -111,6 +111,11 @@ def test_the_nearest_known_key_is_suggested():
         ("a:\n  mu: 0,3\n", "mu is 0,3 at line 2, allowed: a decimal point, 0.3"),
         ("a: {mu: 0,3}\n", "mu is 0,3 at line 1, allowed: a decimal point, 0.3"),
         ("a: {mu: -1,05, g: 9.81}\n", "mu is -1,05 at line 1, allowed: a decimal point, -1.05"),
+        ("a: 1\nw: 0640\n", "w is 0640 at line 2, which YAML reads as 416, allowed: a decimal"),
+        ("m:\n- {n: -010}\n", "n is -010 at line 2, which YAML reads as -8, allowed: a decimal"),
+        ("p: [[1, 2], [007, 0]]\n", "p is 007 at line 1, which YAML reads as 7, allowed"),
+        ("a: {kg: 2:30}\n", "kg is 2:30 at line 1, which YAML reads as 150, allowed"),
+        ("a: {kg: 0:02.5}\n", "kg is 0:02.5 at line 1, which YAML reads as 2.5, allowed"),
     ],
 )
 def test_what_yaml_takes_for_something_else_is_refused(tmp_path, text, message):
@@ -118,6 +123,15 @@ def test_what_yaml_takes_for_something_else_is_refused(tmp_path, text, message):
     path.write_text(text)
     with pytest.raises(FileError, match=rf"some\.yaml: {message}"):
         read_yaml(path, FileError)
+
+
+@pytest.mark.parametrize(
+    "text", ["0", "-0", "0.5", "00.5", "0x10", "1_000", "'0640'", "0.0e-3", "2026-01-02"]
+)
+def test_other_notations_of_values_are_allowed(tmp_path, text):
+    path = tmp_path / "some.yaml"
+    path.write_text(f"a: {text}\n")
+    assert read_yaml(path, FileError).keys() == ("a",)
 
 
 def test_a_key_has_its_unit_in_its_name():
@@ -140,7 +154,9 @@ def test_files(tmp_path):
     with pytest.raises(FileError, match=r"some\.yaml: broken YAML at line \d"):
         read_yaml(path, FileError)
     path.write_bytes(b"\xff\xfe\xfa")
-    with pytest.raises(FileError, match=r"some\.yaml: (cannot be read|broken YAML)"):
+    with pytest.raises(
+        FileError, match=r"some\.yaml: (is no text in UTF-8 .*, allowed: UTF-8|broken YAML)"
+    ):
         read_yaml(path, FileError)
     with pytest.raises(FileError, match="is a folder, allowed: a regular file"):
         read_yaml(tmp_path, FileError)
