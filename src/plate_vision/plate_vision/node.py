@@ -603,10 +603,8 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             self._expected = Prediction(request.parts.ids, seconds(msg.start), place)
 
     def _check_outline(self, image: np.ndarray, stamp: float) -> None:
-        """Compare the plate's outline in the first images with the predicted outline."""
-        # markers show the plate's pose, so the outline is not necessary
-        if self._location is not None:
-            return
+        """Compare the plate's outline in the first images with the predicted outline. For a plate
+        with markers, the prediction is made from the markers."""
         before = self._outline
         if before is None:
             before = OutlineCheck.of(self._rig, self._vision.calibration)

@@ -115,6 +115,24 @@ def test_an_outline_that_is_not_where_corners_px_have_it_is_reported_until_reset
     assert graph.detector._find(0.0).message == "all images used"
 
 
+@pytest.mark.parametrize(("k1", "text"), [(0.0, "straight"), (-0.2, "bend outwards")])
+def test_markers_do_not_hide_a_wrong_lens(make_plate, marked_rig, rng, k1, text):
+    plate = make_plate((k1, 0.0, 0.0, 0.0, 0.0))
+    graph = Graph(rig_file=marked_rig)
+    try:
+        for k in range(5):
+            graph.answer(image(plate.take(np.zeros(3), rng), 1.0 + 0.1 * k))
+        found = graph.detector._find(0.0)
+        assert text in graph.detector._values()["plate_outline"]
+    finally:
+        graph.close()
+    if k1 == 0:
+        assert found.message == "all images used"
+    else:
+        assert found.level == Level.WARN
+        assert says(found.message, "the plate's outline", "the markers and the lens", text, "wrong")
+
+
 def test_faint_patches_are_reported(graph, draw, rng):
     def faint(image):
         y, x = np.mgrid[: image.shape[0], : image.shape[1]]

@@ -481,6 +481,9 @@ class OutlineCheck:
         error.
     bends : bool
         Whether the calibration has a lens.
+    marked : bool
+        Whether markers determine the calibration. Then only the bow of the edges is evaluated,
+        which shows a wrong lens.
     measured : tuple of Outline
         Outlines of the images of this evaluation so far.
     moving : bool
@@ -500,6 +503,7 @@ class OutlineCheck:
     grid: OutlineGrid
     radius: float
     bends: bool
+    marked: bool = False
     measured: tuple[Outline, ...] = ()
     moving: bool = False
     stamp: float = -np.inf
@@ -512,7 +516,8 @@ class OutlineCheck:
     def of(cls, rig: Rig, calibration: Calibration) -> OutlineCheck:
         """Start the check for the plate of a rig and a calibration."""
         grid = OutlineGrid.of(rig, calibration)
-        return cls(grid, rig.parts.radius_m, calibration.lens is not None)
+        marked = rig.fiducials is not None
+        return cls(grid, rig.parts.radius_m, calibration.lens is not None, marked)
 
     def add(self, image: np.ndarray, stamp: float, moving: bool = False) -> OutlineCheck:
         """Return the check with one more image (H, W) or (H, W, 3) uint8 and its stamp [s]. If
@@ -546,9 +551,9 @@ class OutlineCheck:
             moving |= float(np.max(np.ptp(rows[:, :2], axis=0))) > REST_M
         outline = Outline(edges)
         facts = outline, grid, self.radius, self.bends, moving
-        finding, text = evaluate_outline(*facts)
+        finding, text = evaluate_outline(*facts, marked=self.marked)
         seen = int(np.count_nonzero(outline.seen)) >= MIN_EDGES
-        if finding is not None or not seen:
+        if not self.marked and (finding is not None or not seen):
             finding, text = evaluate_outline(*facts, fitting_flips(image, grid))
         if moving and finding is None and self.finding is not None:
             # Keep the last finding: images of a moving plate cannot prove that it is no longer
@@ -567,12 +572,14 @@ def evaluate_outline(
     bends: bool,
     moving: bool = False,
     flips: tuple[str, ...] = (),
+    marked: bool = False,
 ) -> tuple[Finding | None, str]:
     """Return a finding (None if the outline agrees), and the result as short text.
 
     `radius` is the radius of a part [m]. `bends` is true if a lens is known. `moving` is true if
     the plate may be away from home by the motors' stroke. `flips` are the flips of the image with
-    which the outline agrees.
+    which the outline agrees. `marked` is true if markers determine the calibration. Then only edges
+    that bend cause a finding, because the markers do not show a wrong lens.
     """
     count = int(np.count_nonzero(outline.seen))
     if count < MIN_EDGES:
@@ -586,6 +593,8 @@ def evaluate_outline(
     pixel = 1 / float(np.median(grid.scale))
     stretched = max(map(abs, found.stretch)) > max(STRETCH, pixel / float(grid.half.min()))
     reshaped = found.rest > grid.near
+    if marked and not found.bowed:
+        return None, "its edges are as straight as predicted"
     if not (shifted or turned or stretched or reshaped or found.bowed):
         if moving:
             return None, "its shape is as predicted, but the plate moves"
@@ -596,8 +605,9 @@ def evaluate_outline(
     if flips:
         cause += f"; or the image is {' or '.join(flips)}"
     level = Level.ERROR if flips or found.worst > radius + stroke else Level.WARN
+    source = "the markers" if marked else "corners_px"
     message = (
-        f"the plate's outline differs from that of corners_px and the lens: {cause}; positions of "
+        f"the plate's outline differs from that of {source} and the lens: {cause}; positions of "
         f"parts are wrong by up to {1e3 * found.worst:.2g} mm"
     )
     return Finding(level, message), cause
