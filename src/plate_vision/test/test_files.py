@@ -192,6 +192,26 @@ def test_files_that_opencv_writes(tmp_path):
         assert lens.model == model
 
 
+@pytest.mark.parametrize("kind", ["yml", "json"])
+def test_four_values_of_an_unknown_model_are_refused(tmp_path, kind):
+    """A program of one's own that calls cv2.fisheye.calibrate writes K and D, but no model."""
+    path = tmp_path / f"camera.{kind}"
+    for model in (None, "equidistant", "plumb_bob"):
+        file = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+        file.write("image_width", 640)
+        file.write("image_height", 480)
+        file.write("K", np.array([[600.5, 0, 320], [0, 601, 240], [0, 0, 1.0]]))
+        file.write("D", np.array([[0.1], [0.02], [0.003], [0.001]]))
+        if model is not None:
+            file.write("distortion_model", model)
+        file.release()
+        if model is not None:
+            assert load_lens(path).model == model
+            continue
+        with pytest.raises(CalibrationError, match=r"distortion_model is missing, .* equidistant"):
+            load_lens(path)
+
+
 @pytest.mark.parametrize("kind", ["json", "xml"])
 def test_other_files_that_opencv_writes(tmp_path, kind):
     path = tmp_path / f"camera.{kind}"

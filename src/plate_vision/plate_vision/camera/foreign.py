@@ -29,6 +29,9 @@ NAMES = {
 }
 """Keys of a camera_info file, and their names in OpenCV's programs, without `_`."""
 
+FISHEYE = 4
+"""Number of coefficients of a fisheye lens. A plumb_bob lens can have the same number."""
+
 BLOCKS = {"camera matrix": (3, 3), "distortion": (1, None)}
 """Blocks of an `.ini` file that are read, with their shapes."""
 
@@ -55,7 +58,8 @@ def read_opencv(content: bytes, path: Path) -> Fields:
     Raises
     ------
     CalibrationError
-        If the file is malformed, or does not contain K.
+        If the file is malformed, or does not contain K. Also if it contains four coefficients
+        without a model: these can be k1, k2, p1, p2 or the k1 to k4 of a fisheye lens.
     """
     if content.lstrip()[:1] == b"<":
         raise CalibrationError(
@@ -75,8 +79,21 @@ def read_opencv(content: bytes, path: Path) -> Fields:
             f"{path.name}: camera_matrix is missing; a file of OpenCV requires camera_matrix, "
             "distortion_coefficients, image_width and image_height"
         )
-    data["distortion_model"] = spelt.get("distortionmodel") or _model(spelt, data)
+    model = spelt.get("distortionmodel")
+    if not model and "fisheyemodel" not in spelt and _count(data) == FISHEYE:
+        raise CalibrationError(
+            f"{path.name}: distortion_model is missing, required for {FISHEYE} coefficients: "
+            "plumb_bob, or equidistant for those of cv::fisheye"
+        )
+    data["distortion_model"] = model or _model(spelt, data)
     return Fields(data, path.name, CalibrationError)
+
+
+def _count(data: Mapping[str, Any]) -> int:
+    """Return the number of distortion coefficients. The result is 0 if there is no list of them."""
+    block = data.get("distortion_coefficients")
+    values = block.get("data") if isinstance(block, Mapping) else None
+    return len(values) if isinstance(values, list) else 0
 
 
 def _block(value: Any) -> Any:
@@ -91,10 +108,7 @@ def _block(value: Any) -> Any:
 def _model(spelt: Mapping[str, Any], data: Mapping[str, Any]) -> str:
     if spelt.get("fisheyemodel"):
         return "equidistant"
-    block = data.get("distortion_coefficients")
-    values = block.get("data") if isinstance(block, Mapping) else None
-    few = not isinstance(values, list) or len(values) <= 5
-    return "plumb_bob" if few else "rational_polynomial"
+    return "plumb_bob" if _count(data) <= 5 else "rational_polynomial"
 
 
 def read_ini(content: bytes, path: Path) -> Fields:
