@@ -268,6 +268,14 @@ def test_pictures_come_by_their_names(tmp_path):
     assert pixels.shape == (6, 8, 3)
 
 
+def test_numbers_in_names_are_sorted_by_value(tmp_path):
+    """A film of frames that are not numbered with leading zeros must not play in another order."""
+    order = ["2.png", "9_a.png", "10.png", "a.png", "a1_x9.png", "a1_x10.png", "a02.png", "a2.png"]
+    for name in sorted(order):
+        cv2.imwrite(str(tmp_path / name), np.zeros((6, 8), np.uint8))
+    assert [name for name, _ in read_pictures(tmp_path)] == order
+
+
 def test_a_film(tmp_path):
     path = tmp_path / "film.avi"
     film = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 10, (64, 48))

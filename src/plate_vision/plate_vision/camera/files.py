@@ -6,6 +6,7 @@ a folder or a video. Sizes are checked before the pixels are unpacked.
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -39,7 +40,7 @@ PICTURE_BYTES, VIDEO_BYTES = 64_000_000, 4_000_000_000
 megapixels without compression. The limit for videos allows half an hour of full HD."""
 
 
-NO_FILM = "cannot be read, allowed: a video that OpenCV can decode"
+NO_FILM = f"cannot be read, allowed: a video that OpenCV can decode, or a picture ({KINDS})"
 
 
 def load_lens(path: str | Path, expected_px: tuple[int, int] | None = None) -> Lens:
@@ -121,7 +122,8 @@ def read_pictures(path: Path, warn: Callable[[str], None] | None = None) -> Pict
     Parameters
     ----------
     path : Path
-        A folder, a picture or a video. The pictures of a folder are sorted by name.
+        A folder, a picture or a video. The pictures of a folder are sorted by name. Numbers in
+        names are compared as numbers, so that 2.png comes before 10.png.
     warn : callable, optional
         Called with the text of a warning. Default: print it to stderr.
 
@@ -132,7 +134,8 @@ def read_pictures(path: Path, warn: Callable[[str], None] | None = None) -> Pict
         this error.
     """
     if path.is_dir():
-        files = sorted(file for file in path.iterdir() if file.suffix.lower() in PICTURES)
+        files = [file for file in path.iterdir() if file.suffix.lower() in PICTURES]
+        files.sort(key=_name_with_numbers)
         if not files:
             raise ImageError(f"{path}: contains no pictures, allowed: {', '.join(PICTURES)}")
     elif not path.exists():
@@ -140,6 +143,12 @@ def read_pictures(path: Path, warn: Callable[[str], None] | None = None) -> Pict
     else:
         files = [path] if path.suffix.lower() in PICTURES else []
     return Pictures(path, files, warn or _print_warning)
+
+
+def _name_with_numbers(path: Path) -> tuple[list[tuple[str, int]], str]:
+    """Return a key that sorts files by name, but numbers in their names by value."""
+    pieces = re.findall(r"[0-9]+|[^0-9]", path.name)
+    return [("0", int(one)) if one[0].isdecimal() else (one, 0) for one in pieces], path.name
 
 
 class Pictures:
