@@ -37,6 +37,7 @@ from plate_core.ros import (  # noqa: E402
 )
 from plate_driver.safety.node import LATE, LIFE_PERIOD_S  # noqa: E402
 from plate_driver.status import AT_REST, CHECK_RIG, OFF, UNANSWERED  # noqa: E402
+from plate_driver.transports.serial import CALL_AGAIN, CONNECTING  # noqa: E402
 from plate_interfaces.msg import DriverStatus  # noqa: E402
 
 RIG = load_rig()
@@ -434,6 +435,23 @@ def test_kinds_of_stop_and_a_device_that_does_not_answer(bench):
     assert not board.current
 
 
+def test_a_driver_waits_for_a_device_that_starts_later(bench):
+    """A call of enable in the meantime is refused, and has no effect when the device starts."""
+    board = bench.board
+    board.dead = True
+    bench.start()
+    bench.tells(f"error: {CONNECTING.text}")
+    assert bench.status.reason == DriverStatus.NO_ANSWER
+    answer = bench.enable()
+    assert not answer.success
+    assert answer.message.endswith(CALL_AGAIN)  # on a busy computer the first Hello has timed out
+    board.dead = False
+    bench.tells(OFF)
+    bench.wait(1.0)
+    assert (board.count(Enable), board.current) == (0, False)
+    bench.moving()
+
+
 def test_a_driver_waits_for_its_port(bench, tmp_path):
     board, link = bench.board, tmp_path / "port"
     terminal, board.port = board.port, str(link)
@@ -444,7 +462,9 @@ def test_a_driver_waits_for_its_port(bench, tmp_path):
     assert bench.until(lambda: bench.reports and bench.reports[-1].message == waits)
     assert bench.reports[-1].level == DiagnosticStatus.ERROR
     answer = bench.enable()
-    assert (answer.success, answer.message) == (False, waits.removeprefix("error: "))
+    assert (answer.success, answer.message) == (
+        False, waits.removeprefix("error: ") + CALL_AGAIN
+    )  # fmt: skip
     answer = bench.stop()
     assert (answer.success, answer.message) == (False, UNANSWERED)
     link.symlink_to(terminal)

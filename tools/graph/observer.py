@@ -65,9 +65,9 @@ FRESH_S = 2.5
 """Maximum wait for new diagnostics of a node [s]. Each node publishes diagnostics once per
 second."""
 
-CALL_AGAIN = ": call again"
-"""Last words of a refusal that the driver sends if its process has just stalled. Stalls happen on a
-busy computer."""
+CALL_AGAIN = "call again"
+"""Last words of a refusal that the driver sends if its process has just stalled, or if the device
+is not connected. Both happen on a busy computer."""
 
 READY_S = 15.0
 """Maximum wait until the driver is ready [s]. Homing of the device can take 5 s."""
@@ -80,6 +80,13 @@ PERSONS = (
     DriverStatus.EMERGENCY_STOP, DriverStatus.POWER_CUT, DriverStatus.STOP_UNANSWERED,
 )  # fmt: skip
 """Reasons of stops that a person must clear."""
+
+STARTING = (DriverStatus.UNCONFIGURED, DriverStatus.INACTIVE, DriverStatus.BRAKING)
+"""States of the driver that end without a command. When the first image is answered, the driver may
+still be in one of these states."""
+
+UNCONNECTED = (DriverStatus.NO_ANSWER, DriverStatus.PORT)
+"""Reasons of the state ERROR while the driver waits for the device."""
 
 SETTLE_S = 0.5
 """Time to wait after a stop and a reset of the parts [s]. During this time, the plate comes to rest
@@ -466,24 +473,31 @@ class Observer:
         if task is not None and (task.state, task.reason) == (TaskStatus.IDLE, TaskStatus.STOPPED):
             raise GraphError("stopped before the task began by the service stop")
 
-    def enable(self) -> None:
-        """Enable the motors, as an operator does after a look at the rig, and wait until the driver
-        is ready.
+    def enable(self, check: Callable[[], None] = lambda: None) -> None:
+        """Wait until the driver is connected to the device, enable the motors as an operator does
+        after a look at the rig, and wait until the driver is ready. `check` is called before each
+        call of the service, and can raise an exception.
 
         Raises
         ------
         GraphError
             If the driver refuses, or is not ready in time.
         """
-        record, starting = self.record, (DriverStatus.UNCONFIGURED, DriverStatus.INACTIVE)
-        # `soon` contains the states that end without a command. When the first image is answered,
-        # the driver may still be in one of these states.
-        soon = *starting, DriverStatus.BRAKING
-        self.until(lambda: record.driver is not None and record.driver.state not in soon, READY_S)
         answer = SetBool.Response()
+
+        def connected() -> bool:
+            driver = self.record.driver
+            waits = driver is None or driver.state in STARTING
+            if driver is not None and driver.state == DriverStatus.ERROR:
+                waits = driver.reason in UNCONNECTED
+            if waits:
+                self._waiting_for_driver()
+            return not waits
 
         def enabled() -> bool:
             nonlocal answer
+            self.until(connected, READY_S)
+            check()
             answer = self.call(SetBool, "enable", SetBool.Request(data=True))
             return answer.success or not answer.message.endswith(CALL_AGAIN)
 
@@ -491,6 +505,12 @@ class Observer:
         if not answer.success:
             raise GraphError(f"enable refused: {answer.message}")
         self.await_ready()
+
+    def _waiting_for_driver(self) -> str:
+        """Show that the program waits for the driver, and return the driver's last report."""
+        reported = "nothing" if self.record.driver is None else str(self.record.driver.text)
+        self._waiting(f"waiting for the driver, it reports: {reported}")
+        return reported
 
     def await_ready(self) -> None:
         """Wait until the driver is ready.
@@ -502,12 +522,11 @@ class Observer:
         """
         end = time.monotonic() + READY_S
         while not self.until(lambda: self.record.ready, REPORT_S):
-            reported = "nothing" if self.record.driver is None else self.record.driver.text
+            reported = self._waiting_for_driver()
             if time.monotonic() > end:
                 raise GraphError(
                     f"the driver was not ready after {READY_S:g} s, its last report: {reported}"
                 )
-            self._waiting(f"waiting for the driver, it reports: {reported}")
 
     def start(self, scenario: Scenario, ready_timeout_s: float = ACCEPTED_S) -> Task:
         """Send the goal of a scenario, and wait until its task runs or has ended. If the planner

@@ -69,11 +69,10 @@ class Session:
         self.observer.check_not_stopped()
         if not driver_triggers(self.options):
             self.observer.activate_driver()
-        # check again for a stop, because enabling the motors would clear the stop
-        self.observer.check_not_stopped()
         if self.options.transport == "serial":
             print("Calling the service enable: from now on the motors can move.", flush=True)
-            self.observer.enable()
+            # check again for a stop, because enabling the motors would clear the stop
+            self.observer.enable(self.observer.check_not_stopped)
 
     def page(self) -> str:
         """Return the address of the live page, or an empty text if there is no page."""

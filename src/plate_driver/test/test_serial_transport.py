@@ -107,13 +107,29 @@ def test_a_port_that_is_not_there_is_waited_for(terminal, tmp_path):
         told += transport.troubles()
     assert told == [text]
     assert transport.report() == Report(Condition.GONE, DriverReason.PORT, text)
-    assert transport.enable().failure == text
+    assert transport.enable().failure == text + "; call again"
     link.symlink_to(os.ttyname(slave))
     clock[0] += 0.8
     for _ in range(2):
         transport.poll()
     _, [hello] = Reader().fed(os.read(master, 1000))
     assert isinstance(parse(hello).message, Hello)
+    transport.close()
+
+
+def test_a_device_that_starts_later_is_waited_for(terminal):
+    """As a board whose boot loader runs for two seconds. The refused enable is never sent later."""
+    master, slave = terminal
+    clock = [0.0]
+    transport = SerialTransport(lambda: open_port(os.ttyname(slave)), lambda: clock[0], 1)
+    transport.open()
+    text = "the device has not reported its state yet: waiting for it"
+    for clock[0] in np.arange(0.0, 2.0, 0.1):
+        transport.poll()
+        assert transport.report() == Report(Condition.GONE, DriverReason.NO_ANSWER, text)
+        assert transport.enable().failure == text + "; call again"
+    _, packets = Reader().fed(os.read(master, 4000))
+    assert {type(parse(packet).message) for packet in packets} == {Hello}
     transport.close()
 
 

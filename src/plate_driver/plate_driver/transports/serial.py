@@ -87,6 +87,19 @@ baud."""
 
 UNANSWERED = "the device does not answer"
 NO_ANSWER = Report(Condition.GONE, DriverReason.NO_ANSWER, UNANSWERED)
+CONNECTING = Report(
+    Condition.GONE,
+    DriverReason.NO_ANSWER,
+    "the device has not reported its state yet: waiting for it",
+)
+"""Report before the first telemetry. A board that starts when its port is opened can need some
+seconds."""
+
+UNCONNECTED = (DriverReason.NO_ANSWER, DriverReason.PORT)
+"""Reasons in the report while the transport waits for the device."""
+
+CALL_AGAIN = "; call again"
+"""Last words of the refusal of an enable command while the transport waits for the device."""
 
 CONDITIONS = {
     State.OFF: Condition.OFF,
@@ -264,7 +277,7 @@ class SerialTransport:
         self._sent: dict[int, MotorTable] = {}
         self._failures = 0
         self._reopen_at = 0.0
-        self._no_contact = NO_ANSWER
+        self._no_contact = CONNECTING
         self._troubles: list[str] = []
         self._stop_noted = -1
         self._following_m = self._load = 0.0
@@ -484,7 +497,8 @@ class SerialTransport:
             return order.complete(self._unfit.text)
         report = self.report()
         if report.condition is Condition.GONE or telemetry is None:
-            return order.complete(report.text)
+            again = CALL_AGAIN if report.reason in UNCONNECTED else ""
+            return order.complete(report.text + again)
         # Refuse the enable command, because it is unknown which stop it would end.
         if self._stops or self._link.fresh_telemetry is None:
             return order.complete(
@@ -504,7 +518,7 @@ class SerialTransport:
         motors are off."""
         order = self._ordered(HOME_ANSWER_S)
         if self.report().condition is Condition.GONE:
-            return order.complete(UNANSWERED)
+            return order.complete(self.report().text)
         if self._stops or self._request is not None:
             return order.complete("a stop, an enable or a home is not answered yet")
         self._request, self._link = order, self._link.homing()
@@ -577,7 +591,7 @@ class SerialTransport:
         if self._link.clock.suspect(now) and not suspect:
             self._note(self._link.clock.problem)
         if before is None and self._link.device is not None:
-            self._failures, self._no_contact = 0, NO_ANSWER
+            self._failures, self._no_contact = 0, CONNECTING
             self._greeted(self._link.device)
         message = packet.message
         if not isinstance(message, Telemetry):
