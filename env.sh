@@ -24,6 +24,9 @@ if [ -f "$_plate_root/.venv/bin/activate" ] && [ -f "$_plate_root/install/setup.
         *) export PATH="$_plate_root/install/plate_client/lib/plate_client:$_plate_root/install/plate_core/lib/plate_core:$_plate_root/install/plate_bringup/lib/plate_bringup:$PATH" ;;
     esac
 
+    # Programs of tools/ and bench/ import modules from their own folder
+    unset PYTHONSAFEPATH
+
     # Numerics: the matrices are small, so threads would only get in each other's way
     export OPENBLAS_NUM_THREADS="${OPENBLAS_NUM_THREADS:-1}"
     export OMP_NUM_THREADS="${OMP_NUM_THREADS:-1}"

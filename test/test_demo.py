@@ -68,6 +68,16 @@ def names_of(processes):
     return {Path(f"/proc/{pid}/comm").read_text().strip() for pid in processes}
 
 
+def test_programs_find_their_modules_with_a_safe_path():
+    """With PYTHONSAFEPATH, Python does not search the folder of the program for modules."""
+    done = subprocess.run(
+        ["bash", "-c", ". ./env.sh && exec python tools/demo.py --domain 500"],
+        cwd=ROOT, env=os.environ | {"PYTHONSAFEPATH": "1"}, capture_output=True, text=True,
+    )  # fmt: skip
+    assert "domain is 500" in done.stderr
+    assert done.returncode == 2
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
