@@ -28,7 +28,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from plate_bringup import GraphError, RunOptions, load_graph
 from plate_bringup.production import check_robot
-from plate_core import PlateError, Rig, did_you_mean, load_rig
+from plate_core import PlateError, Rig, did_you_mean, load_rig, memory_problem
 from plate_core.rig import rig_warnings, unmeasured
 from plate_core.tasks import (
     FeedTask,
@@ -125,6 +125,8 @@ def demo(args: argparse.Namespace) -> int:
     except PlateError as error:
         print(f"demo: {error}", file=sys.stderr)
         return 2
+    if problem := memory_problem():
+        print(f"demo: warning: {problem}", file=sys.stderr, flush=True)
     try:
         with signals_raise():
             return run(plan)

@@ -8,7 +8,7 @@ from .cycle_request import AngleTargets, CycleRequest, Forces, Targets
 from .ending import ends, piped
 from .errors import CycleError, FrameError, PlateError, RigError, ScenarioError, did_you_mean
 from .motion import PlateCycle
-from .network import choose_network, ros_domain
+from .network import choose_network, memory_problem, ros_domain
 from .parts import (
     GROUP,
     MAX_PARTS,
@@ -46,6 +46,7 @@ __all__ = [
     "did_you_mean",
     "ends",
     "load_rig",
+    "memory_problem",
     "part_class",
     "piped",
     "ros_domain",

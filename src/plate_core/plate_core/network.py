@@ -2,11 +2,13 @@
 nodes.
 
 `choose_network` sets the environment variables that select a profile of Fast DDS and the discovery
-range. `ros_domain` reads the ROS domain from the environment.
+range. `memory_problem` checks the shared memory of Fast DDS. `ros_domain` reads the ROS domain from
+the environment.
 """
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, MutableMapping
 from pathlib import Path
 
@@ -20,6 +22,9 @@ DEFAULT_FASTRTPS_PROFILES.xml from the current folder."""
 
 OWN, NETWORK = "fastdds.xml", "fastdds_network.xml"
 """Profiles in config/. `OWN` restricts DDS to this machine, `NETWORK` allows the network."""
+
+MEMORY = "/dev/shm"
+"""Folder of shared memory, through which programs on the same machine exchange images."""
 
 LAST_DOMAIN = 232
 """Highest ROS domain. Higher domain numbers would give invalid UDP ports."""
@@ -55,6 +60,18 @@ def choose_network(environ: MutableMapping[str, str]) -> str:
         return ""
     why = f"{PEERS} is {peers}" if peers else f"{RANGE} is {reach}"
     return f"{why}: anyone who can reach this machine over the network can move the plate"
+
+
+def memory_problem(folder: str | Path = MEMORY) -> str:
+    """Return a warning if this process cannot create shared memory in the folder, otherwise an
+    empty text. Without shared memory, Fast DDS sends images over UDP, which loses many of them."""
+    fast_dds = "fastrtps" in os.environ.get("RMW_IMPLEMENTATION", "fastrtps")
+    if not fast_dds or os.access(folder, os.W_OK | os.X_OK):
+        return ""
+    return (
+        f"{folder} cannot be written, allowed: a folder in memory that this user can write "
+        f"(mount -t tmpfs none {folder}). Without it, images are sent over UDP, and many are lost"
+    )
 
 
 def ros_domain(environ: Mapping[str, str]) -> int:

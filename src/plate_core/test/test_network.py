@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from plate_core import PlateError, choose_network, ros_domain
+from plate_core import PlateError, choose_network, memory_problem, ros_domain
 
 ENV_SH = "/elsewhere/config/fastdds.xml"
 """Variables that env.sh exports, whatever is requested later."""
@@ -35,6 +35,13 @@ def test_only_a_request_opens_the_network(given, profile, told, before):
     assert environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == given.get(
         "ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"
     )
+
+
+def test_missing_shared_memory_is_reported(tmp_path):
+    """As in a container without /dev/shm: images then go over UDP, and a task takes minutes."""
+    assert memory_problem(tmp_path) == ""
+    missing = tmp_path / "shm"
+    assert memory_problem(missing).startswith(f"{missing} cannot be written, allowed: a folder")
 
 
 FOREIGN = """<profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">

@@ -23,7 +23,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from ..ending import ends, piped
 from ..errors import PlateError
-from ..network import choose_network, ros_domain
+from ..network import choose_network, memory_problem, ros_domain
 from .console import never_held
 from .executor import NodeExecutor
 from .lifecycle import SafeLifecycleNode, start_nodes
@@ -165,8 +165,8 @@ def _run(
 def _init(args: Sequence[str] | None) -> None:
     """Start ROS. A wrong command line or parameter file is an error of the user, not a defect, so
     it raises a PlateError."""
-    if opened := choose_network(os.environ):
-        print(f"warning: {opened}", file=sys.stderr, flush=True)
+    for problem in filter(None, (choose_network(os.environ), memory_problem())):
+        print(f"warning: {problem}", file=sys.stderr, flush=True)
     check_parameter_files(args)
     ros_domain(os.environ)
     try:
