@@ -8,6 +8,7 @@ pytest.importorskip("rclpy")
 from graph.session import session
 from light_graph import LightOptions
 
+from plate_core import PlateError
 from plate_core.ros import DATA, LATCHED, msg_to_parts
 from plate_core.tasks import PartTarget, load_scenario
 from plate_interfaces.msg import Parts, Targets, TaskStatus
@@ -59,7 +60,8 @@ def test_a_script_drags_parts_of_the_real_graph(tmp_path):
         seen = msg_to_parts(latest["parts"])
         start = seen.position[seen.ids.index("black_1")]
         for place in ((0.15, 0.05), clear_place(seen, start)):  # the second while it is on its way
-            plate.move_targets([PartTarget("black_1", place), PartTarget("black_77", place)])
+            with pytest.raises(PlateError, match=r"black_77 is unknown, allowed: black_1, .*grey"):
+                plate.move_targets([PartTarget("black_1", place), PartTarget("black_77", place)])
             assert observer.until(
                 lambda place=place: [(t.id, t.x, t.y) for t in latest["part_targets"].targets]
                 == [("black_1", *place)], 10

@@ -10,12 +10,15 @@ import pytest
 
 pytest.importorskip("rclpy")
 
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
 from plate_client import PlateClient
 from plate_client.ros import client
 from plate_core import PlateError
+from plate_core.ros import DATA, LATCHED
 from plate_core.tasks import PartTarget
 from plate_interfaces.action import SortParts
-from plate_interfaces.msg import TaskProgress, TaskStatus
+from plate_interfaces.msg import Targets, TaskProgress, TaskStatus
 
 
 def test_targets_without_subscribers_are_reported(monkeypatch):
@@ -25,6 +28,62 @@ def test_targets_without_subscribers_are_reported(monkeypatch):
         PlateClient.connect(f"/nobody_{os.getpid()}") as plate,
         pytest.raises(PlateError, match=why),
     ):
+        plate.move_targets([PartTarget("black_1", (0.0, 0.0))])
+
+
+@pytest.fixture(name="planner")
+def _planner():
+    """A client, and a planner that takes the targets of black_1. It publishes the reason why it
+    refuses others in its diagnostics, and the last reason once more, as the planner does."""
+    with PlateClient.connect(f"/targets_{os.getpid()}") as plate:
+        node = plate.node  # the client's thread also serves the planner
+        current = node.create_publisher(Targets, "part_targets", LATCHED)
+        reports = node.create_publisher(DiagnosticArray, "diagnostics", DATA)
+        planner = SimpleNamespace(reason="", answers=True)
+
+        def publish(reason):
+            values = [KeyValue(key="refusal", value=reason)]
+            reports.publish(
+                DiagnosticArray(status=[DiagnosticStatus(name="planner", values=values)])
+            )
+
+        def take(msg):
+            before, planner.reason = planner.reason, ""
+            if not planner.answers:
+                return
+            publish(before)  # a late report about earlier targets
+            others = [target.id for target in msg.targets if target.id != "black_1"]
+            if others:
+                planner.reason = f"targets: {others[0]} is unknown, allowed: black_1"
+                publish(planner.reason)
+            msg.targets = [target for target in msg.targets if target.id == "black_1"]
+            current.publish(msg)
+
+        node.create_subscription(Targets, "targets", take, DATA)
+        assert plate._until(lambda: reports.get_subscription_count() > 0, 10.0)
+        yield plate, planner
+
+
+def test_targets_are_taken_or_refused_with_the_planners_reason(planner):
+    plate, _ = planner
+    known, unknown = PartTarget("black_1", (0, 0.05)), PartTarget("black_9", (0.0, 0.0), 1.0)
+    plate.move_targets([known])
+    for targets in ([unknown], [known, unknown]):
+        with pytest.raises(PlateError, match=r"^targets: black_9 is unknown, allowed: black_1$"):
+            plate.move_targets(targets)
+    plate.move_targets([PartTarget("black_1", (0.1, 0.05))])
+    for name in ("black_8", "black_7"):
+        with pytest.raises(PlateError, match=f"{name} is unknown"):
+            plate.move_targets([PartTarget(name, (0.0, 0.0))])
+    with pytest.raises(PlateError, match="targets: black_1 occurs twice"):
+        plate.move_targets([known, known])
+
+
+def test_a_planner_that_neither_takes_nor_refuses_targets_is_reported(planner, monkeypatch):
+    plate, silent = planner
+    monkeypatch.setattr(client, "REFUSED_S", 0.1)
+    silent.answers = False
+    with pytest.raises(PlateError, match="neither taken nor refused the targets"):
         plate.move_targets([PartTarget("black_1", (0.0, 0.0))])
 
 

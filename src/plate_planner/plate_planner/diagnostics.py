@@ -70,6 +70,7 @@ class PlannerDiagnostics:
         return {
             **progress,
             "task": "" if run is None else run.name,
+            "refusal": self.refusal,
             "task_state": "idle" if run is None else run.task.text,
             "driver_status": "" if driver is None else driver.text,
             "parts_silent_s": f"{inputs.parts.age(now):.2f}",

@@ -91,6 +91,8 @@ def test_targets_that_cannot_be_are_refused_in_the_diagnostics(graph):
     assert "black_7 is unknown" in text
     assert "place of grey_2 is (inf, 0) m" in text
     graph.until(lambda: ids(heard[-1]) == ["grey_1"])
+    publisher.publish(Targets(targets=[wrong]))
+    graph.until(lambda: "black_7 is unknown" in graph.planner._health.values(0.0)["refusal"])
 
 
 def test_whatever_is_sent_the_targets_in_force_are_on_the_plate(graph):

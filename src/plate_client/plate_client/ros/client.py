@@ -18,6 +18,7 @@ from itertools import count
 from typing import Any
 
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -27,8 +28,11 @@ from plate_core import PlateError, choose_network
 from plate_core.ros import (
     ACTIONS,
     DATA,
+    LATCHED,
     REFUSED,
     action_name,
+    msg_to_reports,
+    msg_to_targets,
     new_goal_id,
     scenario_to_goal,
     targets_to_msg,
@@ -54,6 +58,14 @@ AGAIN_S = 0.2
 ANSWER_S = 1.0
 """Time without a reply after which the goal is sent again [s]. DDS may lose the first reply of a
 planner that was just discovered."""
+
+TAKEN_S = 0.5
+"""Maximum time in which the planner usually takes new targets [s]. Before this time, a refusal in
+the diagnostics may be about earlier targets."""
+
+REFUSED_S = 5.0
+"""Maximum time until the planner takes or refuses new targets [s]. It publishes diagnostics once
+per second."""
 
 SPIN_S = 0.1
 """Maximum time for which the background thread of `PlateClient.connect` waits for a message [s]."""
@@ -184,6 +196,12 @@ class PlateClient:
         self._until = until or self._spin_until
         self._clients = {name: ActionClient(node, kind, name) for name, kind in ACTIONS.items()}
         self._targets = node.create_publisher(Targets, "targets", DATA)
+        self._current: tuple[PartTarget, ...] = ()  # targets of the running task
+        self._refusal, self._refused_at = "", float("-inf")
+        self._listeners = (
+            node.create_subscription(Targets, "part_targets", self._on_targets, LATCHED),
+            node.create_subscription(DiagnosticArray, "diagnostics", self._on_report, DATA),
+        )
 
     @classmethod
     @contextmanager
@@ -251,10 +269,13 @@ class PlateClient:
             atexit.unregister(end)
 
     def close(self) -> None:
-        """Destroy the action clients. The client does not destroy the node."""
+        """Destroy the action clients, the publisher and the subscriptions. The client does not
+        destroy the node."""
         for client in self._clients.values():
             client.destroy()
         self.node.destroy_publisher(self._targets)
+        for listener in self._listeners:
+            self.node.destroy_subscription(listener)
 
     def found(self, name: str) -> bool:
         """Whether an action server with this name exists."""
@@ -289,17 +310,41 @@ class PlateClient:
         return sent
 
     def move_targets(self, targets: Sequence[PartTarget]) -> None:
-        """Replace targets of parts in a running task of kind `move`. Other parts keep their
-        targets. If the planner refuses a target, it reports this only in its log and diagnostics.
+        """Replace targets of parts in a running task of kind `move`, and wait until the planner has
+        taken them. Other parts keep their targets.
 
         Raises
         ------
         PlateError
-            If no planner is found.
+            If no planner is found, or if the planner refuses a target. The planner still takes all
+            other targets. If a part is unknown, the message contains the names of all parts.
         """
         if not self._until(lambda: self._targets.get_subscription_count() > 0, DISCOVERY_S):
             raise PlateError("no node in this ROS domain subscribes to targets; start the planner")
-        self._targets.publish(targets_to_msg(targets, self.node.get_clock().now().to_msg()))
+        msg = targets_to_msg(targets, self.node.get_clock().now().to_msg())
+        requested, sent_at = set(msg_to_targets(msg)), time.monotonic()
+        self._targets.publish(msg)
+
+        def taken() -> bool:
+            return requested <= set(self._current)
+
+        def refused() -> bool:
+            return self._refused_at > sent_at
+
+        if self._until(taken, TAKEN_S):
+            return
+        self._until(lambda: taken() or refused(), REFUSED_S)
+        if not taken():
+            none = "the planner has neither taken nor refused the targets; it may hang"
+            raise PlateError(self._refusal if refused() else none)
+
+    def _on_targets(self, msg: Targets) -> None:
+        self._current = msg_to_targets(msg)
+
+    def _on_report(self, msg: DiagnosticArray) -> None:
+        for report in msg_to_reports(msg):
+            if report.node == "planner" and (refusal := report.values.get("refusal")):
+                self._refusal, self._refused_at = refusal, time.monotonic()
 
     def wait(
         self,
