@@ -8,6 +8,12 @@ import numpy as np
 
 __all__ = ["of_median", "of_rate", "rate_text"]
 
+RESAMPLES = 2000
+"""Number of random resamples for the interval of a median."""
+
+MAX_DRAWN = 1_000_000
+"""Maximum number of values that are drawn at the same time."""
+
 
 def of_rate(good: int, runs: int) -> tuple[float, float]:
     """Return the Wilson interval of the fraction of successful runs, 0 to 1."""
@@ -19,10 +25,13 @@ def of_rate(good: int, runs: int) -> tuple[float, float]:
 
 
 def of_median(values: Sequence[float]) -> tuple[float, float]:
-    """Return the bootstrap interval of a median, computed from 2000 random resamples with a fixed
+    """Return the bootstrap interval of a median, computed from random resamples with a fixed
     seed."""
-    drawn = np.random.default_rng(0).choice(values, (2000, len(values)))
-    low, high = np.percentile(np.median(drawn, axis=1), (2.5, 97.5))
+    rng, values, count = np.random.default_rng(0), np.asarray(values), len(values)
+    # A few resamples at a time need little memory. The random numbers are the same.
+    sizes = np.diff([*range(0, RESAMPLES, max(1, MAX_DRAWN // count)), RESAMPLES])
+    medians = [np.median(rng.choice(values, (size, count)), axis=1) for size in sizes]
+    low, high = np.percentile(np.concatenate(medians), (2.5, 97.5))
     return float(low), float(high)
 
 
