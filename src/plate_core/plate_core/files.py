@@ -125,7 +125,7 @@ def draft(path: str | Path, what: str, keeps: bool = True) -> Iterator[BinaryIO]
     path = Path(path)
     beside = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        with beside.open("wb") as file:
+        with open(_create(beside), "wb") as file:
             with contextlib.suppress(FileNotFoundError):
                 shutil.copymode(path, beside)
             yield file
@@ -163,7 +163,7 @@ class OwnFile:
         # shell has opened must not be replaced.
         of_system = os.path.abspath(path).startswith(("/dev/", "/proc/"))
         self._path = Path(path)
-        self._place = self._path if of_system else self._path.resolve()
+        self._place = self._path if of_system else Path(os.path.realpath(path))
         self._held = self._open()
         self._replaced = not of_system and stat.S_ISREG(os.fstat(self._held).st_mode)
 
@@ -182,7 +182,7 @@ class OwnFile:
             self._path.write_text(text, encoding="utf-8")
             return
         beside = self._place.with_name(f"{self._place.name}.draft")
-        number = os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666)
+        number = _create(beside)
         try:
             _lock(number)
             os.fchmod(number, stat.S_IMODE(os.fstat(self._held).st_mode))
@@ -218,6 +218,14 @@ class OwnFile:
                     "file, or this file after that process has ended"
                 )
             # another process has replaced the file in the meantime, so open the new one
+
+
+def _create(path: Path) -> int:
+    """Create a file and open it for writing. If the path exists, it is removed first. If it were
+    opened instead, a link would change another file, and a FIFO could block."""
+    with contextlib.suppress(FileNotFoundError):
+        path.unlink()
+    return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
 
 
 def _lock(number: int) -> bool:

@@ -1,5 +1,6 @@
 """Files that a user names: odd ones are refused at once, whatever reads them."""
 
+import contextlib
 import os
 import socket
 from pathlib import Path
@@ -37,6 +38,11 @@ def bound(path: Path) -> Path:
 
 def link(path: Path) -> Path:
     path.symlink_to(fifo(path.with_name("other")))
+    return path
+
+
+def loop(path: Path) -> Path:
+    path.symlink_to(path)
     return path
 
 
@@ -172,7 +178,28 @@ def test_a_write_that_fails_leaves_the_file_and_keeps_no_lock(tmp_path):
     assert path.read_text() == "2"
 
 
-@pytest.mark.parametrize("kind", [fifo, folder])
+@pytest.mark.parametrize("kind", [fifo, "link"])
+def test_what_has_the_name_of_a_temporary_file_is_removed(tmp_path, kind):
+    """It is neither written nor waited for."""
+    path, other = tmp_path / "rows.json", tmp_path / "other"
+    other.write_text("kept")
+    with OwnFile(path) as own, contextlib.ExitStack() as readers:
+        for name in ("rows.json.draft", f".rows.json.{os.getpid()}"):
+            if kind == "link":
+                (tmp_path / name).symlink_to(other)
+            else:
+                # with a reader, so that the writer of the FIFO does not wait
+                reader = os.open(kind(tmp_path / name), os.O_RDONLY | os.O_NONBLOCK)
+                readers.callback(os.close, reader)
+        own.write("1")
+        assert (path.is_file(), path.read_text()) == (True, "1")
+    with draft(path, "rows") as file:
+        file.write(b"2")
+    assert (path.is_file(), path.read_text()) == (True, "2")
+    assert other.read_text() == "kept"
+
+
+@pytest.mark.parametrize("kind", [fifo, folder, loop])
 def test_an_own_file_of_another_kind_is_refused_at_once(tmp_path, kind):
     with pytest.raises(OSError, match=str(tmp_path)):
         OwnFile(kind(tmp_path / "rows.json"))
