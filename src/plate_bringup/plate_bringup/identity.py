@@ -16,7 +16,8 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from plate_core import config_path
+from plate_core import PlateError, config_path
+from plate_core.files import check_file
 from plate_solver import METHODS
 
 from .loop import ALIKE, Setup, run
@@ -36,6 +37,14 @@ LIBRARIES = ("numpy", "scipy", "cv2", "shapely")
 
 MAX_PATH = 200
 """Maximum length of a text in a module that may be the path of a file [characters]."""
+
+MAX_FILES, MAX_BYTES = 10_000, 10_000_000_000
+"""Maximum number of the files of a module, and maximum sum of their sizes [bytes]. A sparse file of
+any size would otherwise be read for hours."""
+
+MAX_SOURCE_BYTES = 1_000_000
+"""Maximum size of a Python file of a module [bytes]. Parsing needs some hundred times this
+memory."""
 
 TRIAL, TRIAL_CYCLES = "sort_4", 4
 """Scenario of the short runs whose results are compared, and their number of cycles."""
@@ -135,9 +144,22 @@ def files_of(module: str) -> dict[str, str]:
     except hidden files and bytecode. For a module in a single file, it contains this file and the
     files in the same folder that the module names. The module can name a file by an import, or by a
     text such as "weights.npz". If the module does not exist, the result is empty.
+
+    Raises
+    ------
+    PlateError
+        If there are more than `MAX_FILES` files, or they are larger than `MAX_BYTES` together, or a
+        Python file is larger than `MAX_SOURCE_BYTES`.
     """
+    files = sorted(_files(module).items())
+    size = sum(path.stat().st_size for _, path in files)
+    if len(files) > MAX_FILES or size > MAX_BYTES:
+        raise PlateError(
+            f"module {module} has {len(files)} files with {size / 1e6:.4g} MB, allowed: at most "
+            f"{MAX_FILES} files with {MAX_BYTES / 1e6:g} MB"
+        )
     marks = {}
-    for name, path in sorted(_files(module).items()):
+    for name, path in files:
         with path.open("rb") as file:
             marks[name] = hashlib.file_digest(file, "sha256").hexdigest()[:16]
     return marks
@@ -214,6 +236,8 @@ def _named_in(path: Path) -> tuple[set[str], set[str]]:
     are empty."""
     imported: set[str] = set()
     texts: set[str] = set()
+    if path.suffix == ".py":
+        check_file(path, MAX_SOURCE_BYTES)
     try:
         nodes = list(ast.walk(ast.parse(path.read_bytes()))) if path.suffix == ".py" else []
     except (SyntaxError, ValueError, RecursionError, MemoryError):

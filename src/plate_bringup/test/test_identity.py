@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from plate_bringup.identity import files_of, libraries_of
+from plate_core import PlateError
 
 MODULE = """
 import os, helper, loose.part
@@ -72,6 +73,20 @@ def test_files_of_a_package_without_init_are_those_of_all_its_folders(folder, mo
     after = files_of("loose")
     assert sorted(after) == ["loose/far.py", "loose/more/table.bin", "loose/part.py"]
     assert after["loose/part.py"] == before["loose/part.py"]
+
+
+@pytest.mark.parametrize(
+    ("name", "size", "words"),
+    [
+        ("weights.npz", 10**13, "module other_agent has 10 files with 1e.07 MB, allowed: at most "),
+        ("helper.py", 10**13, r"helper\.py: has 1e.07 MB, allowed: a regular file up to 1 MB"),
+    ],
+)
+def test_sparse_files_of_any_size_are_refused_before_they_are_read(folder, name, size, words):
+    with (folder / name).open("wb") as file:
+        file.truncate(size)
+    with pytest.raises(PlateError, match=words):
+        files_of("other_agent")
 
 
 def test_a_module_that_is_no_python_is_one_file(folder):
