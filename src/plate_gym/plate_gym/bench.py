@@ -41,6 +41,9 @@ SHOWN = 5
 """Maximum number of differences that the error message lists if an earlier result cannot be
 continued."""
 
+MAX_OTHER = 100
+"""Maximum number of different versions and files that a check reports."""
+
 CHECKED = 10
 """Maximum number of seeds of each task that a check repeats."""
 
@@ -266,16 +269,20 @@ def check(
     if "limits" in result:
         own |= {"limits": asdict(limits), "files": files(agent)}
     made, here = terms(result), terms(result | own)
-    for name in here | made if "limits" in result else made:
-        if made.get(name) != here.get(name):
-            report(
-                shortened(f"{name} is {made.get(name)} in the result, and {here.get(name)} here")
-            )
+    other = [
+        shortened(f"{name} is {made.get(name)} in the result, and {here.get(name)} here")
+        for name in (here | made if "limits" in result else made)
+        if made.get(name) != here.get(name)
+    ]
+    for text in other[:MAX_OTHER]:
+        report(text)
+    if len(other) > MAX_OTHER:
+        report(f"{len(other) - MAX_OTHER} more differences of versions and files")
     # The seeds that are repeated must be unpredictable, so the generator has no fixed seed.
     wrong, rng = [], np.random.default_rng()
     for task, claimed in result["tasks"].items():
         rows = {row["seed"]: row for row in claimed["rows"]}
-        report(f"{task}: the result has seeds {ranges(sorted(rows))}")
+        report(f"{task}: the result has seeds {shortened(ranges(sorted(rows)))}")
         again = summary(claimed["rows"])
         if {k: list(v) if isinstance(v, tuple) else v for k, v in again.items()} != claimed:
             wrong.append(f"{task}: the summary does not match its rows")

@@ -52,8 +52,9 @@ module do not contain these keys."""
 MAX_NAMES = 10_000
 """Maximum number of versions in a result, and maximum number of an agent's files in a result."""
 
-HUGE = 1e9
-"""Numbers in a result must have absolute values below this limit."""
+HUGE, WHOLE = 1e9, 2**128
+"""Limits of the numbers in a result. The absolute values of floating-point numbers must be below
+`HUGE`, and those of integers below `WHOLE`. Python refuses to print integers with many digits."""
 
 RESULT_BYTES = 64_000_000
 """Maximum size of a file with a result [bytes]. The size is sufficient for 100,000 episodes of 500
@@ -73,10 +74,19 @@ def read(path: Path) -> Any:
     """
     content = read_file(path, RESULT_BYTES)
     try:
-        return json.loads(content.decode())
+        return json.loads(content.decode(), object_pairs_hook=_without_repetition)
     # `json.loads` also raises these errors for huge numbers and deep nesting.
     except (ValueError, RecursionError) as problem:
         raise PlateError(f"{path} is not JSON: {problem}") from problem
+
+
+def _without_repetition(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Convert the pairs of a JSON object to a dict. Raise a ValueError if a key occurs twice,
+    because a reader of the file could see another value than the program."""
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        raise ValueError("an object has a key twice, allowed: each key once")
+    return found
 
 
 def validate(result: Any) -> None:
@@ -112,16 +122,22 @@ def validate(result: Any) -> None:
         for k, row in enumerate(rows):
             where = f"result: {task}: rows[{k}]"
             failed = isinstance(row, dict) and "failure" in row
-            check_fields(where, row, ROW | {"failure": str} if failed else ROW)
+            check_row(where, row, ROW | {"failure": str} if failed else ROW)
             if failed and row["success"]:
                 raise PlateError(
                     f"{where}: success is True, allowed in a row with a failure: False"
                 )
-            for key in ("seed", *TIMES):
-                if row[key] < 0:
-                    raise PlateError(f"{where}: {key} is {row[key]}, allowed: 0 or more")
         if len({row["seed"] for row in rows}) < len(rows):
             raise PlateError(f"result: {task}: a seed occurs twice, allowed: each seed once")
+
+
+def check_row(where: str, row: Any, kinds: dict[str, type]) -> None:
+    """Raise an error unless `row` has exactly the keys of `kinds`, with values of their types. The
+    seed and the computing times must not be negative."""
+    check_fields(where, row, kinds)
+    for key in ("seed", *TIMES):
+        if row[key] < 0:
+            raise PlateError(f"{where}: {key} is {row[key]}, allowed: 0 or more")
 
 
 def check_fields(where: str, found: Any, kinds: dict[str, type]) -> None:
@@ -136,6 +152,8 @@ def check_fields(where: str, found: Any, kinds: dict[str, type]) -> None:
         number = type(value) in (int, float) and abs(value) < HUGE
         fits = number if kind is float else type(value) is kind
         allowed = f"a number below {HUGE:g}" if kind is float else kind.__name__
+        if fits and kind is int and not abs(value) < WHOLE:
+            fits, allowed = False, "an integer below 2**128"
         if fits and kind is str and not (len(value) <= TEXT and value.isprintable()):
             fits, allowed = False, f"up to {TEXT} printable characters"
         if not fits:
@@ -190,5 +208,9 @@ def shortened(text: str) -> str:
     characters. Control characters are replaced by question marks, because they could overwrite
     other lines of a terminal."""
     line = " ".join(text[: 2 * TEXT].split())
-    line = line if len(line) <= TEXT else f"{line[:TEXT]}..."
-    return "".join(letter if letter.isprintable() else "?" for letter in line)
+    return printable(line if len(line) <= TEXT else f"{line[:TEXT]}...")
+
+
+def printable(text: str) -> str:
+    """Replace each character of a text that is not printable by a question mark."""
+    return "".join(letter if letter.isprintable() else "?" for letter in text)

@@ -112,6 +112,8 @@ def test_what_was_changed_is_noticed(bench, result, key, value, words, monkeypat
         (["tasks", "Sort4-v1", "rows", 1, "seed"], "0", "rows[1]: seed is '0', allowed: int"),
         (["tasks", "Sort4-v1", "rows", 1, "seed"], 0.0, "rows[1]: seed is 0.0, allowed: int"),
         (["tasks", "Sort4-v1", "rows", 1, "seed"], -1, "rows[1]: seed is -1, allowed: 0 or more"),
+        (["tasks", "Sort4-v1", "rows", 1, "seed"], 10**4299, ", allowed: an integer below 2**128"),
+        (["tasks", "Sort4-v1", "rows", 1, "dropped"], 2**128, "allowed: an integer below 2**128"),
         (["tasks", "Sort4-v1", "rows", 1, "wall_ms"], -2, "wall_ms is -2, allowed: 0 or more"),
         (
             ["tasks", "Sort4-v1", "rows", 1, "seed"],
@@ -316,6 +318,26 @@ def test_a_result_is_a_regular_file_of_limited_size(bench, tmp_path, kind, words
             file.truncate(3_000_000_000)
     with pytest.raises(PlateError, match=f"{words}, allowed: a regular file up to 64 MB"):
         bench.read(path)
+
+
+def test_a_key_that_occurs_twice_is_refused(bench, tmp_path):
+    """A reader of the file can see another value than the program."""
+    path = tmp_path / "result.json"
+    path.write_text('{"tasks": [{"success": true, "success": false}]}')
+    with pytest.raises(PlateError, match=r"result\.json is not JSON: an object has a key twice"):
+        bench.read(path)
+
+
+def test_long_lists_of_a_result_are_shortened(bench, result, monkeypatch):
+    row = result["tasks"]["Sort4-v1"]["rows"][0]
+    monkeypatch.setattr(bench, "episode", lambda agent, world, task, seed: row | {"seed": seed})
+    claimed = json.loads(json.dumps(bench.evaluate("A", "Sort4-v1", range(0, 2000, 2))))
+    claimed["versions"] |= dict.fromkeys(map(str, range(9000)), "1")
+    told = []
+    assert bench.check(claimed, told.append) == []
+    assert len(told) == 1 + bench.MAX_OTHER + 3
+    assert told[-3] == "8900 more differences of versions and files"
+    assert max(map(len, told)) < 400
 
 
 @pytest.mark.parametrize(
