@@ -19,7 +19,7 @@ from .agents import AGENTS
 from .env import PlateEnv, drawn
 from .isolation import Limits
 from .plates import clocks
-from .result import ROW, check_fields, shortened
+from .result import ROW, check_row, shortened
 
 __all__ = ["agent_class", "episode", "isolated"]
 
@@ -164,13 +164,16 @@ def isolated(agent: str, world: str, task: str, seed: int, limits: Limits) -> di
     reply = isolation.play(request, limits)
     where = f"agent {agent}, {task}, seed {seed}"
     if "row" in reply:
-        check_fields(where, reply["row"], ROW)
-        return dict(reply["row"])
+        row: dict[str, Any] = reply["row"]
+        check_row(where, row, ROW)
+        if row["seed"] != seed:
+            raise PlateError(f"{where}: seed of the row is {row['seed']}, allowed: {seed}")
+        return row
     if "failure" in reply:
         failed = {"seed": seed, "steps": reply["steps"], "failure": shortened(reply["failure"])}
         return {key: kind() for key, kind in ROW.items()} | failed
     error = shortened(reply["error"])
-    raise PlateError(error if error.startswith("agent ") else f"{where}: {error}")
+    raise PlateError(error if error.startswith(f"agent {agent}") else f"{where}: {error}")
 
 
 def named(agent: str, task: str, seed: int, step: int) -> str:

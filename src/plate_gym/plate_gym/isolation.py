@@ -26,7 +26,7 @@ from typing import Any
 from plate_bringup.loop import ALIKE
 from plate_core import PlateError
 
-__all__ = ["ALIVE", "LIMITS", "REPLY_BYTES", "Limits", "play", "stop"]
+__all__ = ["ALIVE", "LIMITS", "REPLY_BYTES", "Limits", "parsed", "play", "stop"]
 
 REPLY_BYTES = 100_000
 """Maximum size of a supervisor's reply [bytes]. A reply with the row of an episode has about 500
@@ -42,6 +42,12 @@ lines that a supervisor sends [s]."""
 
 ENDING_S = 15.0
 """Time in which a supervisor must end all its processes and itself [s]."""
+
+EPISODE_FACTOR = 240
+"""Maximum time of an episode divided by the maximum time of a decision."""
+
+REPLY: dict[str, type] = {"row": dict, "failure": str, "error": str, "steps": int}
+"""Keys of a reply and the types of their values. A reply has one of the first three keys."""
 
 MARK = "PLATE_GYM_SUPERVISOR"
 """Environment variable that all processes of a supervisor have. The value of the variable is a
@@ -75,6 +81,11 @@ class Limits:
             if not low <= value <= high:
                 raise PlateError(f"{name} is {value:g}, allowed: {low:g} to {high:g}")
 
+    @property
+    def episode_s(self) -> float:
+        """Maximum time of an episode [s]."""
+        return EPISODE_FACTOR * self.decision_s
+
 
 LIMITS = Limits()
 """Default limits."""
@@ -95,21 +106,20 @@ class Supervisor:
             env=os.environ | ALIKE | {MARK: self._mark},
         )  # fmt: skip
 
-    def call(self, request: dict[str, Any]) -> dict[str, Any]:
+    def call(self, request: dict[str, Any], limits: Limits) -> dict[str, Any]:
         """Send a request to the supervisor, and return its reply. If the supervisor has ended, the
         reply contains the key `error`."""
         assert self._process.stdin is not None
         try:
             self._process.stdin.write(json.dumps(request).encode() + b"\n")
-            reply = json.loads(self._reply())
-        except (OSError, ValueError, RecursionError) as problem:
+            return parsed(self._reply(START_S + limits.episode_s))
+        except (OSError, ValueError) as problem:
             self.ended = True
             return {"error": f"its supervisor failed: {problem}"}
-        return reply if isinstance(reply, dict) else {"error": "its supervisor failed"}
 
-    def _reply(self) -> bytes:
+    def _reply(self, total_s: float) -> bytes:
         assert self._process.stdout is not None
-        received = b""
+        received, end = b"", time.monotonic() + total_s
         while len(received) < REPLY_BYTES:
             wait_s = REPLY_TIMEOUT_S if self._begun else START_S
             if not select.select([self._process.stdout], [], [], wait_s)[0]:
@@ -122,6 +132,11 @@ class Supervisor:
             for line in lines:
                 if line + b"\n" != ALIVE:
                     return line
+            # an agent that has stopped or killed the supervisor can send the line `ALIVE` itself
+            if time.monotonic() > end:
+                raise OSError(f"no reply within {total_s:g} s")
+            if self._process.poll() is not None:
+                raise OSError("it has ended")
         raise OSError("its reply is too long")
 
     def end(self) -> None:
@@ -167,6 +182,28 @@ def _kill_marked(mark: str) -> None:
                 os.close(process)
 
 
+def parsed(text: bytes) -> dict[str, Any]:
+    """Return the reply of a supervisor, or of the process of an agent, from its JSON text. If the
+    reply has no number of steps, the number is 0.
+
+    Raises
+    ------
+    ValueError
+        If the text is not a valid reply. An agent can write any text.
+    """
+    try:
+        reply = json.loads(text)
+    except RecursionError:
+        reply = None
+    if (
+        not isinstance(reply, dict)
+        or not all(type(value) is REPLY.get(key) for key, value in reply.items())
+        or len(reply.keys() - {"steps"}) != 1
+    ):
+        raise ValueError("its reply is invalid")
+    return {"steps": 0} | reply
+
+
 _idle: list[Supervisor] = []
 _all: list[Supervisor] = []
 
@@ -194,7 +231,7 @@ def play(request: dict[str, Any], limits: Limits) -> dict[str, Any]:
         supervisor = Supervisor()
         _all.append(supervisor)
     place = {"path": sys.path, "folder": os.getcwd(), "limits": asdict(limits)}
-    reply = supervisor.call(request | place)
+    reply = supervisor.call(request | place, limits)
     if supervisor.ended:
         supervisor.close()
         _all.remove(supervisor)

@@ -3,12 +3,14 @@
 The supervisor reads requests from its standard input and writes replies to its standard output, as
 one JSON object per line. For each request, it forks a process that runs `episode.episode`. When the
 episode has ended or a limit is exceeded, the supervisor ends the forked process. The supervisor
-also ends all processes that the agent has started. The program requires Linux, but no root
-privileges.
+also ends all processes that the agent has started. If the agent ends the supervisor, a guard ends
+these processes. The guard is the parent process of the supervisor. The program requires Linux, but
+no root privileges.
 """
 
 from __future__ import annotations
 
+import codecs
 import contextlib
 import ctypes
 import json
@@ -17,6 +19,7 @@ import resource
 import select
 import signal
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -25,7 +28,8 @@ from typing import Any, NoReturn
 from plate_core import PlateError
 
 from .episode import episode, named, one_line
-from .isolation import ALIVE, REPLY_BYTES, Limits
+from .isolation import ALIVE, REPLY_BYTES, Limits, parsed
+from .result import printable
 
 __all__ = ["main"]
 
@@ -40,11 +44,14 @@ MORE_TASKS = 2000
 that already run. The limit slows down an agent that starts processes without end. The limit does
 not apply to root."""
 
-EPISODE_FACTOR = 240
-"""Maximum time of an episode divided by the maximum time of a decision."""
+SPARE_BYTES = 500_000_000
+"""If an agent fills the memory or a disk with files, its episode ends before less than this number
+of bytes is free. If less than twice this number was free at the start, the episode ends before less
+than half of the free bytes is free."""
 
 POLL_S = 0.2
-"""Interval between two checks of the time, the memory and the number of processes [s]."""
+"""Interval between two checks of the time, the memory, the disks and the number of processes
+[s]."""
 
 ALIVE_S = 1.0
 """Interval between two lines `ALIVE`, which tell the parent process that this process still runs
@@ -58,26 +65,38 @@ PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER = 1, 36
 when its parent ends. With `PR_SET_CHILD_SUBREAPER`, descendants whose parent has ended become
 children of this process."""
 
-CONTROL = bytes(set(range(32)) - set(b"\t\n\r"))
-"""Control characters except tab, newline and carriage return. Control characters are removed from
-the output of an agent, because an agent could overwrite other lines of the terminal with them."""
-
 BEAT = b"."
 """Byte that the forked process sends to the supervisor before each decision of the agent."""
 
 
 def main() -> None:
     """Execute the requests from the standard input until the standard input ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _adopt_orphans()
+    if supervisor := os.fork():
+        _guard(supervisor)
+    _adopt_orphans()
     requests, replies = os.dup(0), os.dup(1)
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     os.dup2(2, 1)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
     os.write(replies, ALIVE)
     with os.fdopen(requests, "rb", buffering=0) as lines:
         while line := lines.readline():
             reply = Episode(json.loads(line), requests, replies).run()
             os.write(replies, json.dumps(reply).encode() + b"\n")
+
+
+def _adopt_orphans() -> None:
+    """Make descendants of this process its children when their parent ends."""
+    ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
+
+
+def _guard(supervisor: int) -> NoReturn:
+    """Wait until the supervisor has ended, and end the processes that it has left running."""
+    os.closerange(0, 2)  # only the supervisor keeps the pipes open
+    status = os.waitpid(supervisor, 0)[1]
+    _kill_all()
+    os._exit(status != 0)
 
 
 class Episode:
@@ -97,7 +116,12 @@ class Episode:
     def __init__(self, request: dict[str, Any], requests: int, replies: int) -> None:
         self._request, self._requests, self._replies = request, requests, replies
         self._limits = Limits(**request["limits"])
-        self._decisions, self._reply, self._printed = 0, b"", 0
+        self._decisions, self._reply = 0, b""
+        self._printed, self._line = 0, ""
+        self._decoder = codecs.getincrementaldecoder("utf-8")("replace")
+        self._reserve = {
+            name: min(SPARE_BYTES, free / 2) for name, free in _free(request["folder"]).items()
+        }
 
     def run(self) -> dict[str, Any]:
         """Run the episode, and return the reply. The reply has the form that
@@ -109,22 +133,29 @@ class Episode:
             self._play(to_messages, to_output)
         os.close(to_messages)
         os.close(to_output)
-        failure = self._watch(child, messages, output)
-        end = "" if failure else self._end_of(child)
+        failure = shortage = ""
+        try:
+            failure = self._watch(child, messages, output)
+        except PlateError as problem:
+            shortage = str(problem)
+        end = "" if failure or shortage else self._end_of(child)
         left = _kill_all() - {child}
         self._forward(output, wait=False)
+        if self._line:
+            self._show(self._line)
         os.close(messages)
         os.close(output)
         if left:
             self._note(f"ended processes that the agent had left running: {len(left)}")
         if self._printed > OUTPUT_BYTES:
             self._note(f"omitted the agent's output after {OUTPUT_BYTES:,} bytes")
+        if shortage:
+            return {"error": shortage}
         if failure:
             return {"failure": failure, "steps": self._steps}
         try:
-            reply: dict[str, Any] = json.loads(self._reply)
-            return reply | {"steps": self._steps}
-        except (TypeError, ValueError, RecursionError):
+            return parsed(self._reply) | {"steps": self._steps}
+        except ValueError:
             return {"error": f"{self._where()}: its process {end}"}
 
     @property
@@ -181,12 +212,18 @@ class Episode:
 
     def _watch(self, child: int, messages: int, output: int) -> str:
         """Wait until the reply arrives, the forked process ends or a limit is exceeded. Return a
-        text that names the exceeded limit, or an empty text."""
+        text that names the exceeded limit, or an empty text.
+
+        Raises
+        ------
+        PlateError
+            If the computer has too little free memory, or too little free space on a disk.
+        """
         poll = select.poll()
         for file in (messages, output, self._requests):
             poll.register(file, select.POLLIN)
         waited, checked, sent, total, before = 0.0, 0.0, 0.0, 0.0, time.monotonic()
-        total_s = EPISODE_FACTOR * self._limits.decision_s
+        total_s = self._limits.episode_s
         while True:
             events = dict(poll.poll(1e3 * POLL_S))
             # If this process was suspended, the episode was suspended, too. Therefore at most 2
@@ -245,28 +282,49 @@ class Episode:
 
     def _excess(self) -> str:
         """Check the memory and the number of processes of the episode. Return a text that names the
-        exceeded limit, or an empty text."""
+        exceeded limit, or an empty text.
+
+        Raises
+        ------
+        PlateError
+            If the computer has too little free memory, or too little free space on a disk.
+        """
         processes = list(_descendants())
         if len(processes) > MAX_PROCESSES:
             return f"more than {MAX_PROCESSES} processes"
         limit = 1e9 * self._limits.memory_gb
         if sum(map(_resident, processes)) > limit and sum(map(_proportional, processes)) > limit:
             return self._too_large()
+        for name, free in _free(self._request["folder"]).items():
+            if free < self._reserve.get(name, 0):
+                raise PlateError(
+                    f"{self._where()}: stopped, because only {free / 1e9:.2g} GB of {name} are free"
+                )
         return ""
 
     def _too_large(self) -> str:
         return f"more than {self._limits.memory_gb:g} GB of memory"
 
     def _forward(self, output: int, wait: bool) -> bool:
-        """Copy output of the agent to the standard error, up to `OUTPUT_BYTES`. If `wait` is False,
-        copy only the output that is already available. Return whether more output can follow."""
+        """Copy lines that the agent prints to the standard error, up to `OUTPUT_BYTES`. If `wait`
+        is False, copy only the output that is already available. Return whether more output can
+        follow."""
         os.set_blocking(output, wait)
         while data := _read(output):
-            _print(data[: max(0, OUTPUT_BYTES - self._printed)].translate(None, CONTROL))
+            text = self._decoder.decode(data[: max(0, OUTPUT_BYTES - self._printed)])
+            *lines, self._line = (self._line + text).replace("\r", "\n").split("\n")
+            for line in lines:
+                self._show(line)
             self._printed += len(data)
             if wait:
                 return True
         return False
+
+    def _show(self, line: str) -> None:
+        """Write a line of the agent to the standard error. The beginning of the line shows its
+        source, because an agent could print a false result of a check."""
+        text = printable(line.replace("\t", " "))
+        _print(f"agent: {text}\n".encode())
 
 
 def _read(file: int) -> bytes:
@@ -321,7 +379,7 @@ def _kill_all() -> set[int]:
                 os.kill(process, signal.SIGSTOP)
         for process in processes:
             with contextlib.suppress(OSError):
-                if b"Z" not in _field(process, "status", b"State:"):
+                if b"Z" not in _field(f"{process}/status", b"State:"):
                     ran.add(process)
                 os.kill(process, signal.SIGKILL)
         with contextlib.suppress(ChildProcessError):
@@ -351,29 +409,41 @@ def _tasks_of_user() -> int:
     return count
 
 
+def _free(folder: str) -> dict[str, float]:
+    """Return the free memory, and the free space on the disks of the working directory `folder` and
+    of temporary files [bytes]."""
+    found: dict[str, float] = {"memory": 1024 * _number("meminfo", b"MemAvailable:")}
+    places = {"the disk": folder, "the disk of temporary files": tempfile.gettempdir()}
+    for name, place in places.items():
+        with contextlib.suppress(OSError):  # the agent has deleted the folder
+            disk = os.statvfs(place)
+            found[name] = disk.f_bavail * disk.f_frsize
+    return found
+
+
 def _resident(process: int) -> int:
     """Return the resident memory of a process [bytes]. The result includes memory that the process
     shares with other processes."""
-    return 1024 * _number(process, "status", b"VmRSS:")
+    return 1024 * _number(f"{process}/status", b"VmRSS:")
 
 
 def _proportional(process: int) -> int:
     """Return the proportional memory of a process [bytes]. If n processes share memory, 1/n of this
     memory is counted."""
-    return 1024 * _number(process, "smaps_rollup", b"Pss:")
+    return 1024 * _number(f"{process}/smaps_rollup", b"Pss:")
 
 
-def _number(process: int, file: str, name: bytes) -> int:
+def _number(file: str, name: bytes) -> int:
     try:
-        return int(_field(process, file, name).split()[0])
+        return int(_field(file, name).split()[0])
     except (OSError, IndexError, ValueError):  # the process has ended in the meantime
         return 0
 
 
-def _field(process: int, file: str, name: bytes) -> bytes:
+def _field(file: str, name: bytes) -> bytes:
     """Return the text of a field of a file in /proc, or an empty text if the file does not contain
     the field."""
-    lines = Path(f"/proc/{process}/{file}").read_bytes().splitlines()
+    lines = Path(f"/proc/{file}").read_bytes().splitlines()
     return next((line[len(name) :] for line in lines if line.startswith(name)), b"")
 
 

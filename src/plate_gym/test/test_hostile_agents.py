@@ -1,6 +1,7 @@
 """Hostile agents: each end of an agent is named, and no process outlives its episode."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -20,8 +21,10 @@ def bench():
 
 
 HOSTILE = """
-import ctypes, os, signal, subprocess, sys, time
+import ctypes, json, os, signal, subprocess, sys, time
 from pathlib import Path
+
+from plate_gym.result import ROW
 
 class Base:
     action, observation = "motion", "parts"
@@ -33,6 +36,10 @@ class Base:
 def noted(process):
     with open("pids", "a") as file:
         print(process, file=file)
+
+def sends(reply):
+    os.write(3, json.dumps(reply).encode() + b"\\n")
+    time.sleep(1e6)
 
 class Unreadable(Exception):
     def __str__(self): raise RuntimeError
@@ -59,6 +66,12 @@ class Forges(Base):
     def do(self): os.write(3, b'{"row": {}}\\n'); time.sleep(1e6)
 class Fills(Base):
     def do(self): os.write(3, b"{" * 10**6)
+class OtherSeed(Base):
+    def do(self): sends({"row": {key: kind() for key, kind in ROW.items()} | {"seed": 4}})
+class Negative(Base):
+    def do(self): sends({"row": {key: kind(-1) for key, kind in ROW.items()} | {"seed": 3}})
+class Number(Base):
+    def do(self): sends({"error": 5})
 class Never(Base):
     def do(self): signal.pthread_sigmask(signal.SIG_BLOCK, range(1, 64)); time.sleep(1e6)
 class Stops(Base):
@@ -98,6 +111,11 @@ class DaemonOfKiller(Base):
         while not Path("pids").exists(): time.sleep(0.01)
         os.kill(os.getppid(), signal.SIGKILL)
         time.sleep(1e6)
+class NamelessOfKiller(Base):
+    def do(self):
+        noted(subprocess.Popen(["sleep", "1000"], start_new_session=True, env={}).pid)
+        os.kill(os.getppid(), signal.SIGKILL)
+        time.sleep(1e6)
 class Beats(Base):
     def do(self):
         while True:
@@ -110,6 +128,10 @@ class LargeFile(Base):
 class Prints(Base):
     def do(self):
         for _ in range(100): print("x" * 10**6)
+        raise RuntimeError("done")
+class Escapes(Base):
+    def do(self):
+        os.write(2, "A\\x1b[2JB\\x9b2JC\\u202eD\\tE\\rF\\nG".encode() + b"\\x9b")
         raise RuntimeError("done")
 """
 
@@ -149,6 +171,9 @@ def hostile(bench, tmp_path, monkeypatch):
         ("Group", "step 0: its process died: it was ended by SIGKILL$"),
         ("Closes", "step 0: its process died: it exited with code 0 before its last step$"),
         ("Forges", " has , allowed: time_s, "),
+        ("OtherSeed", "seed of the row is 4, allowed: 3$"),
+        ("Negative", ": start_ms is -1.0, allowed: 0 or more$"),
+        ("Number", "step 0: its process closed its pipe, or sent no valid reply$"),
         ("Fills", "step 0: its process closed its pipe, or sent no valid reply$"),
     ],
 )
@@ -180,20 +205,78 @@ def test_an_episode_in_which_a_limit_is_exceeded_counts_as_failed(bench, hostile
         bench.validate(found)
 
 
-def test_signs_of_life_do_not_prolong_an_episode_for_ever(bench, hostile, tmp_path):
-    """An agent that sends them itself."""
-    code = "import plate_gym.supervisor as own; own.EPISODE_FACTOR = 1; own.main()"
-    request = {"agent": "hostile:Beats", "world": "nominal", "task": "Sort4-v1", "seed": 3}
-    request |= {"path": sys.path, "folder": str(tmp_path)}
+@pytest.mark.parametrize(
+    "text",
+    [
+        "{}", '{"error": 5}', '{"failure": null}', "[]", '{"row": []}', '{"row": {}, "error": "a"}',
+        '{"row": {}, "steps": "1"}', '{"error": "a", "more": 1}', "[" * 50_000, "NaN", "",
+    ],
+)  # fmt: skip
+def test_a_reply_of_another_form_is_refused(bench, text):
+    with pytest.raises(ValueError):
+        bench.isolation.parsed(text.encode())
+
+
+@pytest.mark.parametrize(
+    ("end", "words"),
+    [("", r"no reply within 0\.1 s"), ("&", "it has ended")],
+    ids=["runs", "dead"],
+)
+def test_signs_of_life_that_an_agent_sends_end(bench, tmp_path, monkeypatch, end, words):
+    """In place of a supervisor that the agent has stopped or ended."""
+    program = tmp_path / "supervisor"
+    program.write_text(f"#!/bin/sh\nfor k in $(seq 200); do echo .; sleep 0.1; done {end}\n")
+    program.chmod(0o700)
+    monkeypatch.setattr(sys, "executable", str(program))
+    monkeypatch.setattr(bench.isolation, "ENDING_S", 0.1)
+    supervisor = bench.isolation.Supervisor()
+    with pytest.raises(OSError, match=words):
+        supervisor._reply(100 if end else 0.1)
+    supervisor.close()
+
+
+def reply_of(bench, name, folder, code):
+    """The reply of a supervisor in which the code `code` has changed something."""
+    request = {"agent": f"hostile:{name}", "world": "nominal", "task": "Sort4-v1", "seed": 3}
+    request |= {"path": sys.path, "folder": str(folder)}
     request |= {"limits": {"decision_s": 10, "memory_gb": 1}}
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "bufsize": 0}
+    code = f"import plate_gym.isolation, plate_gym.supervisor as own\n{code}\nown.main()"
     with subprocess.Popen([sys.executable, "-c", code], **pipes) as process:
         process.stdin.write(json.dumps(request).encode() + b"\n")
         reply = next(line for line in process.stdout if line != bench.isolation.ALIVE)
-    assert json.loads(reply)["failure"] == "no end of the episode within 10 s"
+    return json.loads(reply)
 
 
-@pytest.mark.parametrize("name", ["Daemon", "DaemonOfKiller"])
+def test_signs_of_life_do_not_prolong_an_episode_for_ever(bench, hostile, tmp_path):
+    """An agent that sends them itself."""
+    code = "plate_gym.isolation.EPISODE_FACTOR = 1"
+    reply = reply_of(bench, "Beats", tmp_path, code)
+    assert reply["failure"] == "no end of the episode within 10 s"
+
+
+@pytest.mark.parametrize("full", ["memory", "the disk"])
+def test_an_episode_ends_before_files_fill_the_computer(bench, hostile, tmp_path, full):
+    """The run ends too, because other programs may have made the files."""
+    code = (
+        f"free = iter([2e9, 0.51e9])\nown._free = lambda folder: {{'{full}': next(free, 0.49e9)}}"
+    )
+    reply = reply_of(bench, "Never", tmp_path, code)
+    assert reply["error"].endswith(f"step 0: stopped, because only 0.49 GB of {full} are free")
+
+
+def test_free_memory_and_disks_are_those_of_the_system(bench, tmp_path):
+    import shutil
+
+    import plate_gym.supervisor
+
+    free = plate_gym.supervisor._free(str(tmp_path))
+    assert free["the disk"] == pytest.approx(shutil.disk_usage(tmp_path).free, rel=0.2)
+    assert 0 < free["memory"] < os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    assert set(plate_gym.supervisor._free(str(tmp_path / "deleted"))) == set(free) - {"the disk"}
+
+
+@pytest.mark.parametrize("name", ["Daemon", "DaemonOfKiller", "NamelessOfKiller"])
 def test_no_process_of_an_agent_outlives_its_episode(hostile, tmp_path, name):
     with pytest.raises(PlateError, match=r"RuntimeError: done|its supervisor failed"):
         hostile(name)
@@ -213,3 +296,10 @@ def test_most_of_a_long_output_is_omitted(hostile, capfd):
     said = capfd.readouterr().err
     assert said.count("x") < 101_000
     assert "seed 3, step 0: omitted the agent's output after 100,000 bytes\n" in said
+
+
+def test_output_cannot_be_mistaken_for_that_of_the_judge(hostile, capfd):
+    with pytest.raises(PlateError, match="RuntimeError: done"):
+        hostile("Escapes")
+    lines = capfd.readouterr().err.splitlines()
+    assert lines == ["agent: A?[2JB?2JC?D E", "agent: F", "agent: G\ufffd"]
