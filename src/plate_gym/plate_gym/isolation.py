@@ -1,10 +1,11 @@
 """Episodes of agents in separate processes, with limits of time and memory.
 
 The function `play` requests an episode from a supervisor. A supervisor is a process that runs
-`plate_gym.supervisor`. An idle supervisor is used again for the next episode. An agent cannot block
-or end the process that calls `play`, and cannot fill the memory of this process. When an episode
-ends, all processes of the agent are ended. This module is not a security sandbox, because an agent
-can still do anything that its user is allowed to do.
+`plate_gym.supervisor`. An idle supervisor is used again for the next episode. An agent that fails
+cannot block or end the process that calls `play`, and cannot fill the memory of this process. When
+an episode ends, all processes of the agent are ended. This module is not a security sandbox,
+because an agent can still do anything that its user is allowed to do. For example, it can send
+signals to the process that calls `play`.
 """
 
 from __future__ import annotations
@@ -51,7 +52,8 @@ REPLY: dict[str, type] = {"row": dict, "failure": str, "error": str, "steps": in
 
 MARK = "PLATE_GYM_SUPERVISOR"
 """Environment variable that all processes of a supervisor have. The value of the variable is a
-random text. If an agent kills the supervisor, the remaining processes are found by this text."""
+random text. If an agent kills the supervisor and its guard, this text identifies the remaining
+processes."""
 
 
 @dataclass(frozen=True)

@@ -140,9 +140,7 @@ class Episode:
             shortage = str(problem)
         end = "" if failure or shortage else self._end_of(child)
         left = _kill_all() - {child}
-        self._forward(output, wait=False)
-        if self._line:
-            self._show(self._line)
+        self._forward_rest(output)
         os.close(messages)
         os.close(output)
         if left:
@@ -234,6 +232,7 @@ class Episode:
             total += passed
             if self._requests in events:
                 _kill_all()
+                self._forward_rest(output)
                 os._exit(0)
             if output in events and not self._forward(output, wait=True):
                 poll.unregister(output)
@@ -319,6 +318,12 @@ class Episode:
             if wait:
                 return True
         return False
+
+    def _forward_rest(self, output: int) -> None:
+        """Copy the output that is still available, and an incomplete last line."""
+        self._forward(output, wait=False)
+        if self._line:
+            self._show(self._line)
 
     def _show(self, line: str) -> None:
         """Write a line of the agent to the standard error. The beginning of the line shows its

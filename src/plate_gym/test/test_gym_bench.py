@@ -579,7 +579,7 @@ def test_an_agent_of_ones_own_by_the_command(tmp_path, bench, monkeypatch):
     ]  # fmt: skip
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
-    assert done.stderr == "made"  # its output is no result
+    assert done.stderr == "agent: made\n"  # its output is no result
     (row,) = json.loads((tmp_path / "lazy.json").read_text())["tasks"]["Sort4-v1"]["rows"]
     assert (row["success"], row["return"], row["steps"], row["limit_share"]) == (False, 0, 1200, 0)
     assert row["time_s"] == pytest.approx(120)
@@ -613,7 +613,7 @@ def hang():
         process.send_signal(signal.SIGINT)
         output, errors = process.communicate(timeout=60)
     assert (process.returncode, output) == (130, "")
-    assert errors == "madethe same againstopped\n"
+    assert errors == "agent: madethe same again\nstopped\n"
     with pytest.raises(ProcessLookupError):
         os.kill(int((tmp_path / "hangs").read_text()), 0)
 
