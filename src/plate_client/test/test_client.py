@@ -10,6 +10,7 @@ import pytest
 
 pytest.importorskip("rclpy")
 
+import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from plate_client import PlateClient
@@ -190,6 +191,43 @@ except KeyboardInterrupt:
     assert program(text) == (0, "")
 
 
+@pytest.mark.parametrize(("end", "code"), [("sys.exit(5)", 5), ("print('ended')", 0)])
+def test_a_forked_process_ends_as_usual(end, code):
+    text = f"""
+import sys
+with PlateClient.connect() as plate:
+    if (child := os.fork()) == 0:
+        {end}
+    else:
+        assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == {code}
+        plate.node.get_name()
+"""
+    assert program(text) == (0, "")
+
+
+def test_the_client_continues_after_an_exception_in_a_callback():
+    """The exception is logged with its traceback."""
+    text = """
+from std_msgs.msg import Empty
+heard = []
+def on_message(msg):
+    heard.append(msg)
+    raise ZeroDivisionError("in a callback")
+with PlateClient.connect() as plate:
+    plate.node.create_subscription(Empty, "empty", on_message, 10)
+    publisher = plate.node.create_publisher(Empty, "empty", 10)
+    for count in (1, 2):
+        def received():
+            publisher.publish(Empty())
+            return len(heard) >= count
+        assert plate._until(received, 20.0)
+    assert not plate.found("sort_parts")
+"""
+    code, errors = program(text)
+    assert (code, errors.count("ZeroDivisionError: in a callback") >= 1) == (0, True), errors
+    assert "in on_message" in errors
+
+
 def test_a_forked_process_is_told_that_it_has_no_client():
     text = """
 with PlateClient.connect() as plate:
@@ -222,9 +260,33 @@ def test_a_closed_client_says_so_in_all_threads():
         lambda: plate.wait(task),
         lambda: plate.cancel(task),
         lambda: plate.move_targets([]),
+        lambda: plate.found("sort_parts"),
     ):
         with pytest.raises(PlateError, match="the client is closed"):
             call()
+
+
+def test_a_client_of_a_users_node_and_its_task_report_that_the_client_is_closed():
+    context = rclpy.Context()
+    rclpy.init(context=context)
+    node = rclpy.create_node("user", context=context, namespace=f"/user_{os.getpid()}")
+    plate = PlateClient(node, lambda true, timeout_s: true() or True)
+    task = plate.send(SortParts.Goal())
+    task._handle = SimpleNamespace(cancel_goal_async=lambda: pytest.fail("canceled"))
+    for _ in range(2):
+        plate.close()
+    for call in (
+        lambda: plate.found("sort_parts"),
+        lambda: plate.send(SortParts.Goal()),
+        lambda: plate.move_targets([]),
+        lambda: plate.wait(task),
+        task.send,
+        task.cancel,
+    ):
+        with pytest.raises(PlateError, match="the client is closed"):
+            call()
+    node.destroy_node()
+    rclpy.shutdown(context=context)
 
 
 def test_two_clients_of_a_process_have_different_names():

@@ -9,9 +9,11 @@ with PlateClient.connect() as plate:
 from __future__ import annotations
 
 import atexit
+import ctypes
 import os
 import threading
 import time
+import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from itertools import count
@@ -20,7 +22,7 @@ from typing import Any
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.action import ActionClient
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
@@ -70,6 +72,8 @@ per second."""
 SPIN_S = 0.1
 """Maximum time for which the background thread of `PlateClient.connect` waits for a message [s]."""
 
+CLOSED = "the client is closed; call its methods inside its `with` block"
+
 _NUMBERS = count(1)
 """Numbers of the nodes of `PlateClient.connect`. Two nodes with one name would share their log."""
 
@@ -78,6 +82,18 @@ Callback = Callable[[Any], None]
 Until = Callable[[Callable[[], bool], float], bool]
 """Function that processes messages until a condition is true or until a timeout [s]. The function
 returns whether the condition is true."""
+
+
+def _until_of_closed(true: Callable[[], bool], timeout_s: float) -> bool:
+    """Raise the PlateError of a closed client. This function replaces `PlateClient._until`."""
+    raise PlateError(CLOSED)
+
+
+def _skip_destructors() -> None:
+    """Let this forked process end without the destructors of C++ libraries. The destructors of DDS
+    need threads that only the parent process has, so they would crash the process."""
+    libc = ctypes.CDLL(None)
+    libc.on_exit(libc._exit, None)  # glibc calls `_exit` with the exit code
 
 
 class TaskError(PlateError):
@@ -97,6 +113,8 @@ class Task:
     send : callable
         Function that sends the goal, with callbacks for feedback and reply. The function uses the
         same goal id each time. Therefore the planner executes a repeated goal only once.
+    check : callable, optional
+        Function that raises a PlateError if the client is closed. `send` and `cancel` call it.
 
     Attributes
     ----------
@@ -108,8 +126,13 @@ class Task:
         Result. None while the task is running.
     """
 
-    def __init__(self, name: str, send: Callable[[Callback, Callback], None]) -> None:
-        self.name, self._send, self._sent = name, send, 0
+    def __init__(
+        self,
+        name: str,
+        send: Callable[[Callback, Callback], None],
+        check: Callable[[], None] = lambda: None,
+    ) -> None:
+        self.name, self._send, self._check, self._sent = name, send, check, 0
         self.progress = TaskProgress()
         self.feedbacks = 0  # number of feedback messages
         self.status: TaskStatus | None = None
@@ -140,6 +163,7 @@ class Task:
         """Send the goal, or send it again."""
         self._sent += 1
         self._sent_at = time.monotonic()
+        self._check()
         self._send(self._on_feedback, self._on_answer)
 
     def send_again(self) -> None:
@@ -151,6 +175,7 @@ class Task:
         """Ask the planner to end the task. `PlateClient.wait` returns when the task has ended."""
         self._cancel = True
         if self._handle is not None and not self.ended:
+            self._check()
             self._handle.cancel_goal_async()
 
     def _on_feedback(self, msg: Any) -> None:
@@ -210,8 +235,10 @@ class PlateClient:
         variable ROS_DOMAIN_ID.
 
         A background thread processes the node's messages, so `Task.progress` is always current. All
-        methods may be called in any thread. At the end of the context, the client is closed.
-        Methods that are still waiting in other threads then raise a PlateError.
+        methods may be called in any thread. If a callback raises an exception, this exception is
+        logged, and the client continues. At the end of the context, the client is closed.
+        Methods that are still waiting in other threads then raise a PlateError. In a process that
+        was created by `os.fork`, the client is also closed.
         """
         choose_network(os.environ)
         context = rclpy.Context()
@@ -227,8 +254,11 @@ class PlateClient:
             while not (closing.is_set() or problems):
                 try:
                     executor.spin_once(SPIN_S)
-                except Exception as problem:  # `until` raises it in the thread of the caller
-                    problems.append(problem)
+                except ExternalShutdownException as problem:
+                    problems.append(problem)  # `until` raises it in the thread of the caller
+                except Exception:  # a callback has failed; continue with the next one
+                    node.get_logger().error(traceback.format_exc())
+                    closing.wait(SPIN_S)  # limits the rate of the log
             closing.wait()
             # Ctrl-C interrupts only the main thread. Therefore this thread destroys the node.
             try:
@@ -248,7 +278,7 @@ class PlateClient:
             if problems:
                 raise problems[0]
             if closed():
-                raise PlateError("the client is closed; call its methods inside its `with` block")
+                raise PlateError(CLOSED)
             return held
 
         def end() -> None:
@@ -257,6 +287,8 @@ class PlateClient:
             # interrupts it, the next call returns although the thread is still running.
             if os.getpid() == process:
                 ended.wait()
+            else:
+                _skip_destructors()
 
         client, spinning = cls(node, until), threading.Thread(target=spin, daemon=True)
         spinning.start()
@@ -270,7 +302,10 @@ class PlateClient:
 
     def close(self) -> None:
         """Destroy the action clients, the publisher and the subscriptions. The client does not
-        destroy the node."""
+        destroy the node. Further calls do nothing."""
+        if self._until is _until_of_closed:
+            return
+        self._until = _until_of_closed
         for client in self._clients.values():
             client.destroy()
         self.node.destroy_publisher(self._targets)
@@ -278,8 +313,18 @@ class PlateClient:
             self.node.destroy_subscription(listener)
 
     def found(self, name: str) -> bool:
-        """Whether an action server with this name exists."""
+        """Whether an action server with this name exists.
+
+        Raises
+        ------
+        PlateError
+            If the client is closed. The other methods raise the same error.
+        """
+        self._check_open()
         return bool(self._clients[name].server_is_ready())
+
+    def _check_open(self) -> None:
+        self._until(lambda: True, 0.0)  # a closed client raises its PlateError here
 
     def send(self, task: Scenario | Any, waiting: Callable[[str], None] = lambda why: None) -> Task:
         """Send a scenario, or a goal of one of the actions, without waiting for its result. If the
@@ -305,7 +350,7 @@ class PlateClient:
         def send_goal(feedback: Callback, answer: Callback) -> None:
             client.send_goal_async(goal, feedback, number).add_done_callback(answer)
 
-        sent = Task(name, send_goal)
+        sent = Task(name, send_goal, self._check_open)
         sent.send()
         return sent
 
@@ -444,7 +489,7 @@ class PlateClient:
         requested = False
         while True:
             try:
-                self._until(lambda: True, 0.0)  # a closed client raises its PlateError here
+                self._check_open()
                 task.cancel()
                 requested = True
                 return self.wait(task, CANCEL_S)
