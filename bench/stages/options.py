@@ -26,7 +26,7 @@ from plate_solver import (
     RotationSolver,
     SinusoidSolver,
 )
-from plate_solver.sinusoids import Motions, Problem, descend, limited_sinusoids
+from plate_solver.sinusoids import Motions, Problem, descend, family_on_grid
 from stages.scenes import random_positions
 
 SEED = 50_000
@@ -170,7 +170,7 @@ class ScipySearch:
     def __init__(self, rig: Rig, parts: int, own: bool, restarts: int) -> None:
         number, period = HARMONICS[parts], period_of(parts)
         limits = Limits.of(rig)
-        self._family = limited_sinusoids(number, period, limits, 1.0)
+        self._family = family_on_grid(number, period, limits)
         self._motions = Motions.of(self._family.basis, limits)
         self._own, self._restarts = own, restarts
 
@@ -190,7 +190,7 @@ class ScipySearch:
                 best = found
             if 2 * best.cost <= good**2 * goal.rows:
                 break
-        return self._family.cycle(self._family.admissible(best.x))
+        return self._family.cycle(best.x / max(self._family.use(best.x), 1.0))
 
     def _errors(self, goal: Goal, theta: np.ndarray) -> np.ndarray:
         """Return the errors of displacements, followed by the limit violations [m]."""
@@ -198,8 +198,8 @@ class ScipySearch:
         return np.append(error, np.linalg.norm(self._excess(goal, theta)[0]))
 
     def _slopes(self, goal: Goal, theta: np.ndarray) -> np.ndarray:
-        slopes = goal.end_slopes(*self._family.samples(theta))
-        rows = -self._family.pull_back(theta, *slopes)
+        by_pose, by_twist, _ = goal.end_slopes(*self._family.samples(theta))
+        rows = -self._family.pull_back(by_twist, by_pose)
         excess, slopes_of_excess = self._excess(goal, theta)
         unit = excess / max(float(np.linalg.norm(excess)), 1e-300)
         return np.vstack([rows, -unit @ slopes_of_excess])

@@ -143,7 +143,7 @@ class ScipySolver:
 
         def jacobian(theta: np.ndarray) -> np.ndarray:
             _, twist, dt = family.samples(theta)
-            slopes = family.pull_back(theta, None, step_force_gradient(position, still, twist, dt))
+            slopes = family.pull_back(step_force_gradient(position, still, twist, dt))
             return np.vstack([slopes[rows], np.zeros((spare, len(theta)))])
 
         return least_squares(errors, start, jacobian, method="lm", max_nfev=60)

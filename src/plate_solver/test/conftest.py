@@ -6,14 +6,7 @@ import pytest
 from plate_core import Rig, load_rig
 from plate_solver import Goal, Limits, _kernels
 from plate_solver._kernels import EXCESS_M
-from plate_solver.sinusoids import (
-    LimitedSinusoids,
-    Motions,
-    Problem,
-    SinusoidFamily,
-    descend,
-    sinusoid_basis,
-)  # fmt: skip
+from plate_solver.sinusoids import Motions, Problem, SinusoidFamily, descend, sinusoid_basis
 
 
 @pytest.fixture(scope="session")
@@ -58,7 +51,7 @@ def check_excess_slopes(excess_of):
     random motions that exceed the limits."""
 
     def check(limits: Limits, period: float = 0.1) -> None:
-        limited = LimitedSinusoids(sinusoid_basis(3, period, True, 200), limits, 1.3)
+        limited = SinusoidFamily(sinusoid_basis(3, period, True, 200), limits)
         rng = np.random.default_rng(0)
         for _ in range(5):
             theta = 1.2 * limited.random(rng)

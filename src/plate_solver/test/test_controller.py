@@ -1,6 +1,7 @@
 """The controller in a small closed loop: the simulator moves the parts, one cycle ahead."""
 
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,9 +12,8 @@ from plate_sim import simulate
 from plate_solver import Controller
 from plate_solver.controller import METHODS
 from plate_solver.goal import Goal
-from plate_solver.limits import Limits
-from plate_solver.sinusoids import steer
-from plate_solver.sinusoids.steer import SinusoidSteering
+from plate_solver.sinusoids import solver
+from plate_solver.sinusoids.solver import SinusoidCycles
 
 METHOD = pytest.mark.parametrize("method", ["sinusoids", "rotations"])
 
@@ -329,6 +329,10 @@ def test_a_deadline_ends_a_hard_search_and_is_reported(rig, method):
     assert controller.cut_short == 1
 
 
+def cycles(rig, **options):
+    return SinusoidCycles(rig, harmonics=4, period=0.1, iterations=5, **options)
+
+
 def exclusive() -> Goal:
     """Two parts that exclude each other: no descent is ever good enough."""
     place = np.array([[0.0, 0.0], [0.001, 0.0]])
@@ -344,37 +348,36 @@ def test_a_search_ends_so_early_that_its_answer_is_there_in_time(rig, monkeypatc
         now[0] += 0.03
         return descend(*given)
 
-    descend = steer.descend
-    monkeypatch.setattr(steer, "descend", slow)
-    steering = SinusoidSteering(Limits.of(rig), Limits.of(rig, 1.0), 5, 9, clock=lambda: now[0])
-    steering.steer(exclusive(), 4, 0.1, 0.0, 1e-9, np.random.default_rng(0))
+    descend = solver.descend
+    monkeypatch.setattr(solver, "descend", slow)
+    monkeypatch.setattr(solver, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    steering = cycles(rig, restarts=9)
+    steering.steer(exclusive(), 0.0, 1e-9)
     assert now[0] == pytest.approx(
         0.03 * (1 + 9 + 3 + 3)
     )  # three more without a motion to begin with
     assert steering.cut_short == 0
     for count, left in enumerate((0.3, 0.2, 0.3), start=1):
         until = now[0] + left
-        steering.steer(exclusive(), 4, 0.1, 0.0, 1e-9, np.random.default_rng(0), until)
+        steering.steer(exclusive(), 0.0, 1e-9, until)
         assert until - 0.03 < now[0] <= until + 1e-9
         assert steering.cut_short == count
-    steering.steer(exclusive(), 4, 0.1, 0.0, 1e-9, np.random.default_rng(0), now[0])
+    steering.steer(exclusive(), 0.0, 1e-9, now[0])
     assert now[0] == pytest.approx(until + 0.03 * 4, abs=0.03)  # one descent, at least
 
 
 def test_threads_begin_nothing_too_late(rig):
-    steering = SinusoidSteering(Limits.of(rig), Limits.of(rig, 1.0), 5, 1000, 2)
-    rng = np.random.default_rng(0)
-    few = steering.steer(exclusive(), 4, 0.1, 0.0, 1e-9, rng, time.monotonic())[1]
+    steering = cycles(rig, restarts=1000, threads=2)
+    few = steering.steer(exclusive(), 0.0, 1e-9, time.monotonic()).iterations
     assert steering.cut_short == 1
     assert few <= 5 + 3 * 8
 
 
 def test_threads_change_no_answer(rig):
-    cycles = []
+    poses = []
     for threads in (1, 2, 4):
-        steering = SinusoidSteering(Limits.of(rig), Limits.of(rig, 1.0), 5, 9, threads)
-        rng = np.random.default_rng(0)
-        found = [steering.steer(exclusive(), 4, 0.1, 0.0, 1e-9, rng)[0] for _ in range(3)]
-        cycles.append(np.stack([cycle.knot_pose for cycle in found]))
-    assert np.array_equal(cycles[0], cycles[1])
-    assert np.array_equal(cycles[0], cycles[2])
+        steering = cycles(rig, restarts=9, threads=threads)
+        found = [steering.steer(exclusive(), 0.0, 1e-9).cycle for _ in range(3)]
+        poses.append(np.stack([cycle.knot_pose for cycle in found]))
+    assert np.array_equal(poses[0], poses[1])
+    assert np.array_equal(poses[0], poses[2])

@@ -13,17 +13,21 @@ from plate_solver.controller import LOOKAHEAD_S
 from plate_solver.cycle_map import end_turning
 from plate_solver.goal import PartRotations
 from plate_solver.limits import Limits
-from plate_solver.sinusoids import limited_sinusoids, steer
+from plate_solver.sinusoids import family_on_grid, solver
 from plate_solver.sinusoids.basis import TAIL_CHECKS
 from plate_solver.sinusoids.descent import descend
-from plate_solver.sinusoids.steer import PLAYS, ROUGH, SinusoidSteering
+from plate_solver.sinusoids.solver import PLAYS, ROUGH, SinusoidCycles
 
 PLATE = np.array([[1e-3, -5e-4, 0.01], [0.05, 0.1, -0.5], [5.0, -3.0, 20.0]])
 """A state of the plate that is well within the limits."""
 
 
 def family_of(rig, plays=1, plate=PLATE):
-    return limited_sinusoids(8, 0.1, Limits.of(rig), 1.0, ROUGH, True, plate, plays)
+    return family_on_grid(8, 0.1, Limits.of(rig), ROUGH, True, plate, plays)
+
+
+def cycles(rig, **options):
+    return SinusoidCycles(rig, harmonics=8, period=0.1, **options)
 
 
 def each_play(rig, own, plays):
@@ -101,14 +105,13 @@ def test_the_prediction_for_two_plays_is_the_map_applied_twice(rig, scene):
 def test_parts_end_where_predicted_after_one_play_and_after_two(rig, scene):
     """The simulator integrates exactly, the search by steps."""
     goal = to_the_middle(rig, scene, 4)
-    steering = SinusoidSteering(Limits.of(rig), Limits.of(rig, 1.0), 16, 4)
-    rng = np.random.default_rng(0)
-    cycle = steering.steer(goal, 8, 0.1, 1e-5, 0.0, rng)[0]
+    steering = cycles(rig, iterations=16, restarts=4)
+    cycle = steering.steer(goal, 1e-5, 0.0).cycle
     assert cycle.period == 0.1
     assert usage(rig, cycle).worst <= 1
     np.testing.assert_array_equal(cycle.state(0), PLATE)
     twice = family_of(rig, PLAYS)
-    own = twice.nearest(steering._warm[8, 0.1, ROUGH, True])
+    own = twice.nearest(steering._last_twist[8, 0.1, ROUGH, True])
     place, velocity, begin = goal.position, goal.velocity, PLATE
     for _ in range(PLAYS):
         play = family_of(rig, plate=begin).cycle(own)
@@ -134,11 +137,11 @@ def left_after(rig, goal, cycle, plays):
 def test_less_is_left_after_two_plays_and_more_after_one(rig, scene, monkeypatch):
     left = {}
     for plays in (1, 2):
-        monkeypatch.setattr(steer, "PLAYS", plays)
+        monkeypatch.setattr(solver, "PLAYS", plays)
         for seed in range(6):
             goal = to_the_middle(rig, scene, seed)
-            steering = SinusoidSteering(Limits.of(rig), Limits.of(rig, 1.0), 16, 20)
-            cycle = steering.steer(goal, 8, 0.1, 1e-5, 0.0, np.random.default_rng(seed))[0]
+            steering = cycles(rig, iterations=16, restarts=20, seed=seed)
+            cycle = steering.steer(goal, 1e-5, 0.0).cycle
             for after in (1, 2):
                 left.setdefault((plays, after), []).append(left_after(rig, goal, cycle, after))
     mean = {key: np.mean(values) for key, values in left.items()}
@@ -155,10 +158,9 @@ def test_two_plays_take_half_the_starts(rig, scene, monkeypatch, free_end, desce
         given.append(problem)
         return descend(problem, *how)
 
-    monkeypatch.setattr(steer, "descend", counted)
+    monkeypatch.setattr(solver, "descend", counted)
     goal = replace(to_the_middle(rig, scene, 0), free_end=free_end)
-    steering = SinusoidSteering(Limits.of(rig), Limits.of(rig, 1.0), 1, 9)
-    cycle = steering.steer(goal, 8, 0.1, 0.0, 0.0, np.random.default_rng(0))[0]
+    cycle = cycles(rig, iterations=1, restarts=9).steer(goal, 0.0, 0.0).cycle
     assert len(given) == descents + 3
     assert {problem.motions.basis.period for problem in given} == {0.2 if free_end else 0.1}
     assert cycle.period == 0.1
@@ -182,7 +184,7 @@ def test_a_motion_is_refused_if_a_part_is_off_the_plate_between_two_plays(rig, m
     own, first, _ = next(
         one for one in found if one[2] < edge and (one[1] > edge + 1e-4 if out else one[1] < edge)
     )
-    monkeypatch.setattr(steer, "descend", lambda problem, *_: descend(problem, own, 0.0, 0))
+    monkeypatch.setattr(solver, "descend", lambda problem, *_: descend(problem, own, 0.0, 0))
     aim = np.array([[-0.1, 0.0]])
     request = CycleRequest.make(
         Parts.make(("black_0",), place), start=np.hstack([place, velocity]), plate=still,

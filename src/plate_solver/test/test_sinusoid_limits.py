@@ -8,8 +8,7 @@ from plate_core.motion import usage
 from plate_solver import Limits
 from plate_solver._kernels import AIM
 from plate_solver.limits import limit_use
-from plate_solver.sinusoids import sinusoid_basis
-from plate_solver.sinusoids.limits import LimitedSinusoids
+from plate_solver.sinusoids import SinusoidFamily, sinusoid_basis
 
 
 @pytest.fixture
@@ -17,8 +16,8 @@ def limits(rig):
     return Limits.of(rig)
 
 
-def family(limits, most=1.3):
-    return LimitedSinusoids(sinusoid_basis(3, 0.1, True, 200), limits, most)
+def family(limits):
+    return SinusoidFamily(sinusoid_basis(3, 0.1, True, 200), limits)
 
 
 @pytest.mark.parametrize("period", [0.1, 0.4])
@@ -34,17 +33,6 @@ def test_excess_begins_at_the_aim(limits, excess_of):
     assert len(excess_of(limited, limits, (AIM - 1e-3) / used * theta)[0]) == 0
     # Only some instants are evaluated: their peak is a little lower.
     assert len(excess_of(limited, limits, (AIM + 0.1) / used * theta)[0]) > 0
-
-
-@pytest.mark.parametrize("most", [1.0, 1.3])
-def test_admissible_motions_stay_within_what_they_may(limits, most):
-    limited = family(limits, most)
-    for size in (1e-3, 1.0, 1e3):
-        theta = limited.admissible(size * limited.random(np.random.default_rng(2)))
-        used = limited.use(theta)
-        assert used <= most * (1 + 1e-12)
-        assert size > 1e-2 or used == pytest.approx(size)
-    assert not limited.admissible(np.zeros_like(theta)).any()
 
 
 @pytest.mark.parametrize("size", [1.0, 5.0])

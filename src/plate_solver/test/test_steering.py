@@ -19,10 +19,10 @@ from plate_solver.cycle_map import (
 )
 from plate_solver.goal import PartRotations
 from plate_solver.limits import Limits
-from plate_solver.sinusoids import limited_sinusoids
+from plate_solver.sinusoids import family_on_grid
 from plate_solver.sinusoids.basis import TAIL_S
 from plate_solver.sinusoids.descent import Motions, Problem, descend
-from plate_solver.sinusoids.steer import ROUGH, SPREAD
+from plate_solver.sinusoids.solver import ROUGH, SPREAD
 
 BOTH = pytest.mark.parametrize("method", [SinusoidSolver, RotationSolver])
 DRIFT = 0.01  # m/s, the maximum request
@@ -244,7 +244,7 @@ def test_a_descents_slopes_agree_with_differences(rig, scene, plate):
         plate=plate,
     )  # fmt: skip
     free_end = plate is not None
-    family = limited_sinusoids(4, 0.1, Limits.of(rig), 1.3, free_end=free_end, plate=plate)
+    family = family_on_grid(4, 0.1, Limits.of(rig), free_end=free_end, plate=plate)
     problem = Problem.of(goal, Motions.of(family.basis, Limits.of(rig)), 1.3)
     theta = (1.2 if free_end else 0.99) * family.random(rng)
     found = descend(problem, theta, 0.0, 0)
@@ -269,7 +269,7 @@ def test_four_steps_from_near_a_solution_gain_most_of_what_it_gains(rig, scene):
             position, 0 * position, way, np.full((10, 2), 0.01), rig.friction.accel, lasting=True,
             weight=0.03, edge=rig.plate.half - 0.008, coast=0.03, free_end=True,
         )  # fmt: skip
-        family = limited_sinusoids(8, 0.1, limits, 1.3, ROUGH, True)
+        family = family_on_grid(8, 0.1, limits, ROUGH, True)
         problem = Problem.of(goal, Motions.of(family.basis, limits), 1.3)
         known = descend(problem, 0.5 * family.random(rng), 0.0, 60)
         size = SPREAD * np.sqrt(np.mean(known.parameters**2))
@@ -307,7 +307,7 @@ def test_a_cycle_goes_on_from_where_the_plate_is_and_parts_go_where_predicted(ri
 
 def test_no_parameters_are_the_tail_and_nearest_ones_repeat_a_motion(rig):
     limits, rng = Limits.of(rig), np.random.default_rng(0)
-    family = limited_sinusoids(8, 0.1, limits, 1.0, free_end=True, plate=PLATE)
+    family = family_on_grid(8, 0.1, limits, free_end=True, plate=PLATE)
     nothing = family.cycle(np.zeros(3 * family.basis.size))
     t = np.linspace(0, TAIL_S, 30)
     np.testing.assert_allclose(

@@ -12,8 +12,7 @@ from plate_core.rig import PEAK_OVER_RMS, Suspension, mass_matrix, modal_matrice
 from plate_solver import Goal, Limits, RotationSolver, SinusoidSolver
 from plate_solver._kernels import ramps
 from plate_solver.limits import HEADROOM, limit_use, within_limits
-from plate_solver.sinusoids import limited_sinusoids, sinusoid_basis
-from plate_solver.sinusoids.limits import LimitedSinusoids
+from plate_solver.sinusoids import SinusoidFamily, family_on_grid, sinusoid_basis
 
 
 def with_motors(force, continuous, **facts) -> Rig:
@@ -85,7 +84,7 @@ def test_limits_of_the_rig_are_used(name):
     rig = RIGS[name]
     weight = np.array([2.0, 1, 1, 1, 1])
     limits = Limits.of(rig, 1.0)
-    limited = LimitedSinusoids(sinusoid_basis(3, 0.1, True, 200), Limits.of(rig), 1.3)
+    limited = SinusoidFamily(sinusoid_basis(3, 0.1, True, 200), Limits.of(rig))
     for seed in range(5):
         cycle = limited.cycle(limited.random(np.random.default_rng(seed)))
         points = (cycle.control_points(order) for order in range(3))
@@ -99,14 +98,14 @@ def test_a_cycle_in_motion_keeps_the_limits_and_so_does_the_way_to_rest_from_its
     rig, plate = RIGS[name], np.zeros((3, 3))
     full = Limits.of(rig, 1.0)
     for seed in range(6):
-        family = limited_sinusoids(8, 0.1, Limits.of(rig), 1.3, free_end=True, plate=plate)
+        family = family_on_grid(8, 0.1, Limits.of(rig), free_end=True, plate=plate)
         theta = 2 * family.random(np.random.default_rng(seed))
         resting = partial(family.cycle, 0 * theta)
         cycle = within_limits(family.cycle(theta), full, resting)
         assert 0.8 < usage(rig, cycle).overall <= 1
         assert usage(rig, resting()).overall <= 1
         plate = cycle.state(-1)
-    far = limited_sinusoids(8, 0.1, Limits.of(rig), 1.3, free_end=True, plate=100 * plate)
+    far = family_on_grid(8, 0.1, Limits.of(rig), free_end=True, plate=100 * plate)
     with pytest.raises(CycleError, match="cannot stop within the rig's limits"):
         within_limits(far.cycle(theta), full, lambda: far.cycle(0 * theta))
 

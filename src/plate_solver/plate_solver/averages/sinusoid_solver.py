@@ -223,7 +223,7 @@ def fit_curl(
 
         def slopes() -> np.ndarray:
             gradient = step_force_gradient(request.position, request.velocity, twist, dt)
-            return scale[:, None] * family.pull_back(theta, None, gradient)[rows]
+            return scale[:, None] * family.pull_back(gradient)[rows]
 
         return curl_error(request, twist), slopes
 

@@ -13,7 +13,7 @@
 #include "averages/sinusoid_force.hpp"
 #include "fit/levenberg_marquardt.hpp"
 #include "limits.hpp"
-#include "sinusoids/limits.hpp"
+#include "sinusoids/excess.hpp"
 
 namespace plate::averages {
 

@@ -281,15 +281,23 @@ def repeated(one: SinusoidBasis, plays: int) -> SinusoidBasis:
 
 
 class SinusoidFamily:
-    """The motions of a basis at the largest amplitude that the limits allow.
+    """The motions of a basis, for one rig and one initial state of the plate.
 
-    Averaged forces do not depend on the amplitude. The error from the parts' velocities decreases
-    with the speed of the plate. Therefore the largest amplitude is the best. Parameters (3 h,) are
-    scaled coefficients. The scale makes rotations comparable to translations.
+    Parameters (3 h,) are scaled coefficients. The scale makes rotations comparable to translations.
+
+    Parameters
+    ----------
+    basis : SinusoidBasis
+    limits : Limits
+    plate : (3, 3), optional
+        Initial state of the plate, as `PlateCycle.state`. Such motions require a basis of motions
+        that start at rest. Default: the initial state of the basis motions.
     """
 
-    def __init__(self, basis: SinusoidBasis, limits: Limits) -> None:
-        self.basis = basis
+    def __init__(
+        self, basis: SinusoidBasis, limits: Limits, plate: np.ndarray | None = None
+    ) -> None:
+        self.basis, self.plate = basis, plate
         self._limits = limits
         self._scale = np.array([1.0, 1.0, 1 / limits.arm_m])
         self._dt = np.full(basis.steps, basis.dt)
@@ -301,17 +309,15 @@ class SinusoidFamily:
     def samples(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return pose and twist (n, 3) at the middles of the steps, and the step lengths (n,)
         [s]."""
-        coefficients = self.coefficients(parameters)
-        return self.basis.pose @ coefficients, self.basis.twist @ coefficients, self._dt
+        own, basis = self.coefficients(parameters), self.basis
+        pose, twist = basis.pose @ own, basis.twist @ own
+        if self.plate is not None:
+            pose = pose + basis.settling[0] @ self.plate
+            twist = twist + basis.settling[1] @ self.plate
+        return pose, twist, self._dt
 
-    def pull_back(
-        self,
-        parameters: np.ndarray,
-        by_pose: np.ndarray | None,
-        by_twist: np.ndarray,
-        by_dt: np.ndarray | None = None,
-    ) -> np.ndarray:
-        """Convert derivatives with respect to pose (2, n, R) and twist (3, n, R) to derivatives
+    def pull_back(self, by_twist: np.ndarray, by_pose: np.ndarray | None = None) -> np.ndarray:
+        """Convert derivatives with respect to twist (3, n, R) and pose (2, n, R) to derivatives
         (R, 3 h) with respect to the parameters."""
         jacobian = self.basis.twist.T @ by_twist  # (3, h, R)
         if by_pose is not None:
@@ -320,29 +326,33 @@ class SinusoidFamily:
         return np.ascontiguousarray(jacobian.transpose(2, 1, 0)).reshape(by_twist.shape[2], -1)
 
     def use(self, parameters: np.ndarray) -> float:
-        """Return the largest utilisation of any rig limit by the samples (1: at the limit)."""
+        """Return the largest utilisation of any rig limit by the samples (1: at the limit). The
+        motion from the initial state `plate` to rest is not included."""
         own, basis = self.coefficients(parameters), self.basis
         pose, twist, accel = basis.pose @ own, basis.twist @ own, basis.accel @ own
-        return float(limit_use(pose, twist, accel, EQUAL_WEIGHT, self._limits, True))
+        return limit_use(pose, twist, accel, EQUAL_WEIGHT, self._limits, True)
 
     def admissible(self, parameters: np.ndarray) -> np.ndarray:
-        """Scale parameters to the largest amplitude that the limits allow."""
+        """Scale parameters to the largest amplitude that the limits allow.
+
+        Averaged forces do not depend on the amplitude. The error from the parts' velocities
+        decreases with the speed of the plate. Therefore the largest amplitude is the best.
+        """
         return parameters / max(self.use(parameters), 1e-300)
-
-    def penalty(self, parameters: np.ndarray) -> np.ndarray:
-        """Return no errors, because the scaling keeps the limits."""
-        return np.zeros(0)
-
-    def penalty_slopes(self, parameters: np.ndarray) -> np.ndarray:
-        """Return no derivatives, because there are no errors."""
-        return np.zeros((0, len(parameters)))
 
     def cycle(self, parameters: np.ndarray) -> PlateCycle:
         """Return the motion as a plate cycle."""
-        return self.basis.cycle(self.coefficients(parameters))
+        return self.basis.cycle(self.coefficients(parameters), self.plate)
 
     def random(self, rng: np.random.Generator) -> np.ndarray:
         """Return random parameters at the largest amplitude."""
         coefficients = rng.normal(size=(self.basis.size, 3))
         coefficients[:, 2] /= self._limits.arm_m
-        return SinusoidFamily.admissible(self, (coefficients / self._scale).ravel())
+        return self.admissible((coefficients / self._scale).ravel())
+
+    def nearest(self, twist: np.ndarray) -> np.ndarray:
+        """Return the parameters whose twists are closest to the sampled twists (n, 3), by least
+        squares."""
+        if self.plate is not None:
+            twist = twist - self.basis.settling[1] @ self.plate
+        return (self.basis.inverse @ twist / self._scale).ravel()

@@ -12,7 +12,7 @@
 #include "fit/levenberg_marquardt.hpp"
 #include "goal/ends.hpp"
 #include "limits.hpp"
-#include "sinusoids/limits.hpp"
+#include "sinusoids/excess.hpp"
 
 namespace plate::descent {
 

@@ -4,6 +4,11 @@ One call runs the Levenberg-Marquardt method on the coefficients of the motion. 
 the errors of the parts' final positions and rotations (`goal.ends`), and the limit violations. The
 inputs are a `Problem` and initial parameters. The output is a `Fit`. The whole descent is a single
 call, because an evaluation takes only about ten microseconds and Python overhead would dominate.
+
+On the cycle map, the displacement depends on the amplitude. If each step of the search were scaled
+down to the limits, the step would bring no progress. Therefore motions may exceed the limits
+slightly during the search. Each violation is an additional error. The last descents have the
+maximum utilisation 1.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-// Python bindings of the kernels in limits.hpp and descent.hpp.
+// Python bindings of the kernels in descent.hpp.
 #include "fit/fit_record.hpp"
 #include "goal/ends_record.hpp"
 #include "records.hpp"

@@ -1,5 +1,4 @@
-// C++ kernels of limits.py, which computes the limit violations of a sinusoidal motion and their
-// gradients.
+// Limit violations of a sinusoidal motion, and their gradients, for descent.hpp.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -14,8 +13,7 @@
 namespace plate::sinusoids {
 
 // EXCESS_M is the displacement error [m] that is equivalent to a violation of a limit by 100 %. AIM
-// is the utilisation of a limit above which the search counts a violation. The file limits.py
-// imports both values.
+// is the utilisation of a limit above which the search counts a violation.
 constexpr double EXCESS_M = 2e-3, AIM = 0.95;
 
 // Samples of h basis motions of one degree of freedom at n instants. `pose`, `twist` and `accel`
