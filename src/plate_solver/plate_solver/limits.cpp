@@ -25,7 +25,7 @@ void bind_limits(nb::module_& m) {
                 used[k] = limit_use(one(pose, k), one(twist, k), one(accel, k), view(weight),
                                     limits, linear);
         }
-        return to_numpy<1>(std::move(used), {motions});
+        return to_numpy(std::move(used));
     });
 }
 

@@ -45,6 +45,28 @@ void read(const char* name, nb::handle array, Target& target) {
     std::copy_n(from.data(), from.size(), reinterpret_cast<double*>(&target));
 }
 
+inline std::vector<double> copied(const Numbers& array) {
+    return {array.data(), array.data() + array.size()};
+}
+
+template <class Number = double>
+MatrixOf<Number> matrix_of(const Table& array) {
+    MatrixOf<Number> result(array.shape(0), array.shape(1));
+    std::copy_n(array.data(), array.size(), result[0]);
+    return result;
+}
+
+inline nb::object to_numpy(std::vector<double>&& numbers) {
+    const size_t count = numbers.size();
+    return nb::cast(to_numpy<1>(std::move(numbers), {count}));
+}
+
+template <class Number>
+nb::object to_numpy(MatrixOf<Number>&& matrix) {
+    const size_t rows = matrix.rows, columns = matrix.columns;
+    return nb::cast(to_numpy<2>(std::move(matrix.numbers), {rows, columns}));
+}
+
 // Converts the Python tuple `Limits` to the C++ struct.
 inline Limits limits_of(const nb::tuple& record) {
     Limits limits{

@@ -6,11 +6,10 @@ import pytest
 from plate_core import PlateError
 from plate_core.motion import usage
 from plate_solver import Goal, Limits, RotationSolver, average_force
-from plate_solver._kernels import force_slopes, ramps, timeline
+from plate_solver._kernels import force_slopes, run_of
 from plate_solver.averages import step_forces
 from plate_solver.library.library import unit_twists
-from plate_solver.rotations.family import RotationFamily, line_of
-from plate_solver.rotations.sequence import motion
+from plate_solver.rotations.family import RotationFamily, Run, Sequences
 
 HALF = np.array([0.3, 0.15])
 CORNERS = HALF * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
@@ -23,20 +22,16 @@ SPEED = np.array([0.25, -0.2, 0.1, -0.3])
 TURNS = TWISTS * SPEED[:, None]
 
 
-def line(turns=TURNS):
-    """Knots of the example sequence."""
-    return timeline(HOLDS, turns, ramps(turns, HALF, NO_LOADS, ACCEL)[0], PERIOD)
-
-
 @pytest.fixture(name="played")
-def _played():
-    """The example sequence: times of samples, pose, twist, acceleration, steps, gap."""
-    pose, twist, accel, dt, gap = motion(*line(), (2000, 2000))
-    return np.cumsum(dt) - dt / 2, pose, twist, accel, dt, gap
+def _played(rig):
+    """The example sequence."""
+    steps, limits = (2000, 2000), Limits.of(rig)
+    family = Sequences(4, np.ones(3), PERIOD, ACCEL, NO_LOADS, steps, limits)
+    return Run(*run_of(np.append(HOLDS, TURNS), family))
 
 
 def test_sequence_closes_from_rest_to_rest(played):
-    _, pose, twist, accel, dt, gap = played
+    pose, twist, accel, dt, gap = *played[3:7], played.corners[-1]
     assert np.max(np.abs(gap)) > 1e-3, "nothing had to be closed"
     assert dt.sum() == pytest.approx(PERIOD)
     for end in (0, -1):
@@ -47,16 +42,16 @@ def test_sequence_closes_from_rest_to_rest(played):
 
 
 def test_sequence_is_consistent_in_time(played):
-    t, pose, twist, accel, _, _ = played
-    for of, derivative in ((pose, twist), (twist, accel)):
+    t = np.cumsum(played.dt) - played.dt / 2
+    for of, derivative in ((played.pose, played.twist), (played.twist, played.accel)):
         slope = np.diff(of, axis=0) / np.diff(t)[:, None]
         middle = (derivative[1:] + derivative[:-1]) / 2
         np.testing.assert_allclose(slope, middle, atol=2e-3 * np.max(np.abs(derivative)))
 
 
 def test_sequence_turns_about_its_centres_in_order(played):
-    accel, gap = played[3], played[5]
-    times, knots = line()
+    accel, gap = played.accel, played.corners[-1]
+    times, knots = played.times, played.knots
     assert times[0] == 0
     assert times[-1] == pytest.approx(PERIOD)
     assert np.all(np.diff(times) >= 0)
@@ -126,8 +121,7 @@ def test_force_slopes_agree_with_differences(rig):
         _, twist, dt = sequence.samples(theta)
         return step_forces(position, velocity, twist, dt).ravel()[asked]
 
-    line = line_of(parameters, sequence.plain)
-    found = force_slopes(parameters, sequence.plain, *line, position, velocity, asked)
+    found = force_slopes(parameters, sequence.plain, position, velocity, asked)
     step = 1e-6
     for p, d in enumerate(step * np.eye(len(parameters))):
         slope = (forces(parameters + d) - forces(parameters - d)) / (2 * step)

@@ -10,7 +10,7 @@ from plate_solver.averages.rotations import SequenceForces
 from plate_solver.averages.sinusoids import motions_of
 from plate_solver.averages.unreachable import _cells, _circles
 from plate_solver.limits import Limits
-from plate_solver.rotations.family import RotationFamily, line_of
+from plate_solver.rotations.family import RotationFamily
 from plate_solver.sinusoids import sinusoid_basis
 
 PARTS, STEPS, NUMBER, ROWS = 3, 8, 2, 4
@@ -30,7 +30,6 @@ START = random(1, 3 * BASIS.size)
 HALF, LOADS = random(2), random(4, 3)
 FAMILY = RotationFamily(random(2, 3), LIMITS, 0.1, 0.25, steps=(2, 3)).plain
 THETA = random(9)
-LINE = line_of(THETA, FAMILY)
 COUNT = 15  # of steps, in three ramps and three holds
 ASKED = np.ones(3 * PARTS, bool)
 FORCES = SequenceForces(FAMILY, *PLACES, ASKED, random(3 * PARTS), random(3 * PARTS))
@@ -48,14 +47,11 @@ CALLS = {
     "sinusoid_forces": (CASES, *PLACES, RULES),
     "invert": (START, random(5, 3 * BASIS.size), *PLACES, PLACES[1], MOTIONS, 1e-3, 2, 2),
     "ramps": (random(2, 3), HALF, LOADS, 10.0),
-    "timeline": (random(3), random(2, 3), random(3), 9.0),
-    "knot_poses": LINE,
-    "motion": (*LINE, (2, 3)),
-    "line_of": (THETA, FAMILY),
+    "run_of": (THETA, FAMILY),
     "runnable": (THETA, FAMILY),
     "pull_back": (THETA, FAMILY, random(3, COUNT, 2), random(3, COUNT, 2), random(COUNT, 2)),
     "gap_slopes": (THETA, FAMILY),
-    "force_slopes": (THETA, FAMILY, *LINE, *PLACES, ASKED),
+    "force_slopes": (THETA, FAMILY, *PLACES, ASKED),
     "fit_mean_force": (FORCES, THETA, 1e-3, 2),
     "mean_force_error": (FORCES, random(STEPS, 3), random(STEPS)),
     "columns_of": (PROGRAMME[0], UNIT),

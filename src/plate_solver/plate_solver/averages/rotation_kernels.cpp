@@ -17,20 +17,18 @@ static std::vector<int> rows_of(const Array<const bool, 1>& mask, size_t parts) 
     return rows;
 }
 
-static nb::object slopes_of_forces(Numbers theta, nb::tuple record, Numbers times, Table knots,
-                                   Table position, Table velocity, Array<const bool, 1> mask) {
-    const SequencesRecord family(record);
+static nb::object slopes_of_forces(Numbers theta, nb::tuple record, Table position, Table velocity,
+                                   Array<const bool, 1> mask) {
+    const Sequences family = sequences_of(record);
     const size_t parts = position.shape(0);
     check("position", position, {parts, 2}), check("velocity", velocity, {parts, 2});
-    const Line line = line_from(times, knots);
-    if (line.segments() != 2 * (*family).count() + 2)
-        throw nb::value_error("the number of knots does not match the number of rotations");
-    const Parameters own = family.parameters(theta);
+    const Parameters own = parameters_of(theta, family);
     const std::vector<int> rows = rows_of(mask, parts);
     Matrix jacobian;
     {
         nb::gil_scoped_release others_may_run;
-        force_slopes(own, *family, line, view(position), view(velocity), rows, jacobian);
+        force_slopes(own, family, line_of(own, family), view(position), view(velocity), rows,
+                     jacobian);
     }
     return to_numpy(std::move(jacobian));
 }
@@ -39,21 +37,18 @@ static nb::object slopes_of_forces(Numbers theta, nb::tuple record, Numbers time
 class ForcesRecord {
 public:
     explicit ForcesRecord(const nb::tuple& record)
-        : family(nb::cast<nb::tuple>(field(record, 0))),
-          position(nb::cast<Table>(field(record, 1))), velocity(nb::cast<Table>(field(record, 2))),
+        : position(nb::cast<Table>(field(record, 1))), velocity(nb::cast<Table>(field(record, 2))),
           requested(nb::cast<Numbers>(field(record, 4))),
           scale(nb::cast<Numbers>(field(record, 5))) {
         const size_t parts = position.shape(0);
         check("position", position, {parts, 2}), check("velocity", velocity, {parts, 2});
         std::vector<int> rows = rows_of(nb::cast<Array<const bool, 1>>(field(record, 3)), parts);
         check("requested", requested, {rows.size()}), check("scale", scale, {rows.size()});
-        problem = {*family,      view(position), view(velocity), std::move(rows),
-                   view(requested), view(scale)};
+        problem = {sequences_of(nb::cast<nb::tuple>(field(record, 0))), view(position),
+                   view(velocity), std::move(rows), view(requested), view(scale)};
     }
 
     const SequenceForces& operator*() const { return problem; }
-
-    SequencesRecord family;
 
 private:
     Table position, velocity;
@@ -63,7 +58,7 @@ private:
 
 static nb::tuple correct(nb::tuple record, Numbers theta, double tolerance, int iterations) {
     const ForcesRecord problem(record);
-    Parameters start = problem.family.parameters(theta);
+    Parameters start = parameters_of(theta, (*problem).family);
     Fit found;
     {
         nb::gil_scoped_release others_may_run;

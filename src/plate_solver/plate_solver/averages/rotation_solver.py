@@ -92,7 +92,10 @@ class RotationSolver(ForceSolver, RotationCycles):
         def planned(spread: bool) -> Start:
             plan = filled(self._plan(request.position, request.force, request.curl, spread))
             plan = plan.in_order(nearest_order(plan.twist, self._limits.half))
-            return self._family(plan, options.period, COARSE, within_stroke=True)
+            family = RotationFamily(
+                plan.twist, self._limits, options.period, options.speed, COARSE, within_stroke=True
+            )
+            return Start(family, family.parameters(plan.fraction))
 
         def propose(_: int, near: Try, fresh: bool) -> Start:
             return planned(spread=True) if fresh else self._shaken(near)
@@ -106,7 +109,7 @@ class RotationSolver(ForceSolver, RotationCycles):
         cycle, error = self._evaluated(request, family, found.parameters)
         # the time steps of the search missed a time at which the slip nearly vanishes
         if np.max(np.abs(error)) > tolerance:
-            fine = family.finer(FINE)
+            fine = family.with_steps(FINE)
             found = fit_mean_force(
                 request, fine, found.parameters, tolerance / 10, options.iterations
             )
@@ -131,7 +134,7 @@ class RotationSolver(ForceSolver, RotationCycles):
         cycle = within_limits(family.cycle(parameters), self._full)
         error = np.zeros(np.count_nonzero(request.rows))
         if np.any(np.isfinite(request.curl)):
-            error = mean_force_error(request, family.finer(FINEST), parameters)
+            error = mean_force_error(request, family.with_steps(FINEST), parameters)
         true = request.force - average_force(cycle, request.position, request.velocity)
         error[np.flatnonzero(request.rows) % 3 < 2] = true.ravel()
         return cycle, error

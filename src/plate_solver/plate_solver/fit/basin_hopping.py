@@ -17,6 +17,7 @@ def basin_hopping(
     begin: Start,
     tries: int,
     fresh: bool = False,
+    expired: Callable[[], bool] = lambda: False,
 ) -> tuple[Result, int]:
     """Run local searches from several starts. Return the best result, and the total number of
     steps.
@@ -38,10 +39,12 @@ def basin_hopping(
     fresh : bool
         Whether the second start is a new start instead of a perturbation. After that, both kinds
         alternate.
+    expired : function
+        Function that is called before each further start. If it returns True, the series ends.
     """
     best, min_cost, steps, enough = attempt(begin, 0)
     for number in range(1, tries):
-        if enough:
+        if enough or expired():
             break
         result, cost, more, enough = attempt(propose(number, best, fresh), number)
         steps, fresh = steps + more, not fresh

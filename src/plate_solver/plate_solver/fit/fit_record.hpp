@@ -8,11 +8,8 @@ namespace plate {
 // Returns the fields of the Python tuple `Fit`.
 template <class Number>
 nb::tuple fields_of(FitOf<Number>&& fit) {
-    const size_t rows = fit.error.size(), columns = fit.parameters.size();
-    return nb::make_tuple(to_numpy<1>(std::move(fit.parameters), {columns}),
-                          to_numpy<1>(std::move(fit.error), {rows}),
-                          to_numpy<2>(std::move(fit.jacobian.numbers), {rows, columns}),
-                          fit.iterations);
+    return nb::make_tuple(to_numpy(std::move(fit.parameters)), to_numpy(std::move(fit.error)),
+                          to_numpy(std::move(fit.jacobian)), fit.iterations);
 }
 
 }  // namespace plate

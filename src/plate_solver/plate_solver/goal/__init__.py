@@ -5,18 +5,15 @@ The cycle map evaluates motions. `Solution` contains a motion and the fraction o
 it meets.
 """
 
-from .ends import Ends, end_errors
-from .goal import Family, Goal, PartRotations, fit_goal, goal_solution
+from .ends import Ends
+from .goal import Goal, PartRotations, goal_solution
 from .solution import Solution, Status
 
 __all__ = [
     "Ends",
-    "Family",
     "Goal",
     "PartRotations",
     "Solution",
     "Status",
-    "end_errors",
-    "fit_goal",
     "goal_solution",
 ]

@@ -2,8 +2,8 @@
 // of a cycle.
 #pragma once
 #include <algorithm>
+#include <array>
 #include <cmath>
-#include <cstdint>
 #include <vector>
 
 #include <plate/view.hpp>
@@ -17,9 +17,9 @@ constexpr double STEEP_M = 0.01;
 
 // Requested end coordinates (C,) of M parts. `Ends` in ends.py describes the fields.
 struct Ends {
-    View<const double, 1> low, high, weight, edge_low, edge_high;
-    View<const int64_t, 2> pair;
-    View<const double, 1> clear;
+    std::vector<double> low, high, weight, edge_low, edge_high;
+    std::vector<std::array<int, 2>> pair;
+    std::vector<double> clear;
     int parts;
 };
 
@@ -28,34 +28,34 @@ struct Ends {
 // parts that are too close to each other.
 inline void end_errors(const std::vector<double>& place, const Ends& ends,
                        std::vector<double>& error, Matrix& slope) {
-    const int size = place.size(), count = ends.parts, pairs = ends.pair.size(0);
+    const int size = place.size(), count = ends.parts, pairs = ends.pair.size();
     error.assign(size + pairs, 0.0);
     slope.resize(size + pairs, size);
     std::fill_n(slope[0], (size + pairs) * size, 0.0);
     for (int j = 0; j < size; j++) {
         const double at = place[j];
-        if (at < ends.low(j) || at > ends.high(j)) {
-            const double nearest = at < ends.low(j) ? ends.low(j) : ends.high(j);
-            error[j] += ends.weight(j) * (nearest - at);
-            slope[j][j] += ends.weight(j);
+        if (at < ends.low[j] || at > ends.high[j]) {
+            const double nearest = at < ends.low[j] ? ends.low[j] : ends.high[j];
+            error[j] += ends.weight[j] * (nearest - at);
+            slope[j][j] += ends.weight[j];
         }
-        if (at < ends.edge_low(j)) {
-            const double beyond = ends.edge_low(j) - at;
+        if (at < ends.edge_low[j]) {
+            const double beyond = ends.edge_low[j] - at;
             error[j] += beyond + beyond * beyond / STEEP_M;
             slope[j][j] += 1 + 2 * beyond / STEEP_M;
-        } else if (at > ends.edge_high(j)) {
-            const double beyond = at - ends.edge_high(j);
+        } else if (at > ends.edge_high[j]) {
+            const double beyond = at - ends.edge_high[j];
             error[j] -= beyond + beyond * beyond / STEEP_M;
             slope[j][j] += 1 + 2 * beyond / STEEP_M;
         }
     }
     int rows = size;
     for (int k = 0; k < pairs; k++) {
-        const int a = ends.pair(k, 0), b = ends.pair(k, 1);
+        const auto [a, b] = ends.pair[k];
         const double dx = place[b] - place[a], dy = place[count + b] - place[count + a];
         const double distance = std::max(std::sqrt(dx * dx + dy * dy), 1e-9);
-        if (distance < ends.clear(k)) {
-            error[rows] = ends.clear(k) - distance;
+        if (distance < ends.clear[k]) {
+            error[rows] = ends.clear[k] - distance;
             slope[rows][b] = dx / distance, slope[rows][a] = -dx / distance;
             slope[rows][count + b] = dy / distance, slope[rows][count + a] = -dy / distance;
             rows++;

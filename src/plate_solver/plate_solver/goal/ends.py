@@ -18,9 +18,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .. import _kernels
-
-
 class Ends(NamedTuple):
     """Requested coordinates of M parts at the end of a cycle.
 
@@ -53,13 +50,3 @@ class Ends(NamedTuple):
     pair: np.ndarray
     clear: np.ndarray
     parts: int
-
-
-def end_errors(place: np.ndarray, ends: Ends) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the errors (R,) [m] of the end coordinates `place` (C,) [m, rad]. Return the errors
-    and their negative derivatives (R, C).
-
-    The first C errors belong to the coordinates. The other errors belong to pairs of parts that are
-    too close to each other.
-    """
-    return _kernels.end_errors(place, ends)

@@ -3,21 +3,19 @@ predicts how well a motion meets a goal.
 
 Averaged forces are valid only if the parts hardly move within a cycle, but many parts require long
 cycles. Therefore, a goal does not specify forces, but the displacement over the cycle from a given
-initial state (section 3.1.2). The function `fit_goal` fits the parameters of a motion to a goal.
-The function `goal_solution` evaluates the finished cycle.
+initial state (section 3.1.2). The function `goal_solution` evaluates the finished cycle.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 
 from plate_core import PlateCycle, PlateError
 
+from .. import _kernels
 from ..cycle_map import (
     end_state,
     end_state_gradient,
@@ -25,8 +23,7 @@ from ..cycle_map import (
     end_turning_gradient,
     finely_sampled,
 )
-from ..fit import Fit, fit
-from .ends import Ends, end_errors
+from .ends import Ends
 from .solution import Solution
 
 COMING_M = 0.05
@@ -214,7 +211,7 @@ class Goal:
         place = (self.position + self.coast * self.velocity).T.ravel()
         if self.turns is not None:
             place = np.append(place, self.coast * self.turns.spin)
-        error, slope = end_errors(place, self.ends)
+        error, slope = self.error(place)
         direction = (error @ slope)[: self.position.size].reshape(2, -1).T
         return np.asarray(direction * (length / max(float(np.max(np.hypot(*direction.T))), 1e-12)))
 
@@ -294,55 +291,13 @@ class Goal:
         )
 
     def error(self, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Compute the errors (R,) [m] for the coordinates `end` at the end of a cycle. Return the
-        errors and their negative derivatives (R, C)."""
-        return end_errors(end, self.ends)
+        """Compute the errors (R,) [m] for the coordinates `end` (C,) at the end of a cycle. Return
+        the errors and their negative derivatives (R, C).
 
-
-class Family(Protocol):
-    """A family of closed motions. P parameters determine a motion."""
-
-    def samples(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Sample a motion. Return pose and twist (n, 3) at the middles of the time steps, and the
-        lengths of the steps (n,) [s]."""
-
-    def pull_back(
-        self, parameters: np.ndarray, by_pose: np.ndarray, by_twist: np.ndarray, by_dt: np.ndarray
-    ) -> np.ndarray:
-        """Convert derivatives with respect to the samples, (c, n, R) and (n, R), to derivatives
-        (R, P) with respect to the parameters."""
-
-    def admissible(self, parameters: np.ndarray) -> np.ndarray:
-        """Return parameters of a motion that the rig can execute. The result is close to
-        `parameters`."""
-
-    def penalty(self, parameters: np.ndarray) -> np.ndarray:
-        """Return additional errors (K,) [m], such as limit violations."""
-
-    def penalty_slopes(self, parameters: np.ndarray) -> np.ndarray:
-        """Return the negative derivatives (K, P) of the additional errors."""
-
-
-def fit_goal(
-    goal: Goal, family: Family, parameters: np.ndarray, tolerance: float, iterations: int
-) -> Fit:
-    """Fit the parameters of a motion to a goal by Levenberg-Marquardt.
-
-    The errors are those of `Goal.error` and `Family.penalty` [m]. The search stops when the largest
-    error is at most `tolerance` [m].
-    """
-
-    def evaluate(theta: np.ndarray) -> tuple[np.ndarray, Callable[[], np.ndarray]]:
-        samples = family.samples(theta)
-        error, slope = goal.error(goal.end(*samples))
-
-        def slopes() -> np.ndarray:
-            jacobian = family.pull_back(theta, *goal.end_slopes(*samples))
-            return np.vstack([slope @ jacobian, family.penalty_slopes(theta)])
-
-        return np.concatenate([error, family.penalty(theta)]), slopes
-
-    return fit(evaluate, family.admissible, parameters, tolerance, iterations)
+        The first C errors belong to the coordinates. The other errors belong to pairs of parts that
+        are too close to each other.
+        """
+        return _kernels.end_errors(end, self.ends)
 
 
 def goal_solution(

@@ -31,8 +31,7 @@ static nb::object chosen(Table matrix, Array<const int64_t, 1> basis) {
     check_basis(view(basis), matrix.shape(1) + 2 * matrix.shape(0));
     Matrix result(rows, rows);
     columns_of(view(matrix), view(basis), {result[0], {rows, rows}});
-    return nb::cast(to_numpy<2>(std::move(result.numbers),
-                                   {matrix.shape(0), matrix.shape(0)}));
+    return to_numpy(std::move(result));
 }
 
 void bind_library(nb::module_& m) {

@@ -17,15 +17,14 @@ constexpr double MAX_RAMPS = 0.9;
 
 // A family of sequences of J rotations. `Sequences` in family.py describes the fields.
 struct Sequences {
-    View<const double, 3> basis;  // (J, F, 3)
-    double hold_scale, period, accel;
-    View<const double, 2> loads;  // (m, 3)
+    int count;
+    double scale[3];
+    double period, accel;
+    Matrix loads;  // (m, 3)
     std::array<int, 2> steps;
     Limits limits;
 
-    int count() const { return basis.size(0); }
-    int own() const { return basis.size(1); }
-    int parameters() const { return count() + 1 + count() * own(); }
+    int parameters() const { return 4 * count + 1; }
 };
 
 using Parameters = std::vector<double>;
@@ -33,25 +32,23 @@ using Parameters = std::vector<double>;
 // Returns the relative durations (J + 1,) of the J rotations and of the rest at the end of the
 // period.
 inline std::vector<double> holds_of(const Parameters& theta, const Sequences& family) {
-    std::vector<double> holds(theta.begin(), theta.begin() + family.count() + 1);
-    for (double& hold : holds) hold *= family.hold_scale;
+    std::vector<double> holds(theta.begin(), theta.begin() + family.count + 1);
+    for (double& hold : holds) hold *= 1.0 / family.count;
     return holds;
 }
 
 // Returns the plate's twists (J, 3) during the J rotations.
 inline Matrix twists_of(const Parameters& theta, const Sequences& family) {
-    Matrix twists(family.count(), 3);
-    for (int j = 0; j < family.count(); j++)
-        for (int q = 0; q < family.own(); q++) {
-            const double value = theta[family.count() + 1 + j * family.own() + q];
-            for (int c = 0; c < 3; c++) twists[j][c] += value * family.basis(j, q, c);
-        }
+    Matrix twists(family.count, 3);
+    for (int j = 0; j < family.count; j++)
+        for (int c = 0; c < 3; c++)
+            twists[j][c] = theta[family.count + 1 + 3 * j + c] * family.scale[c];
     return twists;
 }
 
 inline Ramps ramps_of(const Parameters& theta, const Sequences& family) {
     const Matrix twists = twists_of(theta, family);
-    return ramps(view_of(twists), family.limits.half, family.loads, family.accel);
+    return ramps(view_of(twists), family.limits.half, view_of(family.loads), family.accel);
 }
 
 // Returns the times of the knots and the plate's twists at the knots (see `timeline`).
@@ -61,45 +58,49 @@ inline Line line_of(const Parameters& theta, const Sequences& family) {
                     family.period);
 }
 
-// Parameters that the rig can run, and the knots and samples of their motion.
+// Parameters, and the knots and samples of their motion.
 struct Run {
     Parameters theta;
     Line line;
     Moved moved;
 };
 
+inline Run run_of(const Parameters& theta, const Sequences& family) {
+    Line line = line_of(theta, family);
+    Moved moved = motion(line, family.steps);
+    return {theta, std::move(line), std::move(moved)};
+}
+
 // Changes the parameters so that the rig can run the motion. Durations are raised to at least
 // SHORTEST. The twists are reduced until the motion is within the limits, in at most 8 attempts.
 // Returns the changed parameters with the knots and samples of their motion.
 inline Run runnable(Parameters theta, const Sequences& family) {
-    const int count = family.count(), own = family.own();
+    const int count = family.count;
     for (int j = 0; j <= count; j++) theta[j] = std::max(theta[j], SHORTEST);
     double* speeds = theta.data() + count + 1;
     const auto slow_down = [&](double factor) {
-        for (int p = 0; p < count * own; p++) speeds[p] /= factor;
+        for (int p = 0; p < 3 * count; p++) speeds[p] /= factor;
     };
     for (int j = 0; j < count; j++) {
-        double square = 0;
-        for (int q = j * own; q < (j + 1) * own; q++) square += speeds[q] * speeds[q];
+        double square = 0, *twist = speeds + 3 * j;
+        for (int c = 0; c < 3; c++) square += twist[c] * twist[c];
         const double factor = std::max(std::sqrt(square) / FASTEST, 1.0);
-        for (int q = j * own; q < (j + 1) * own; q++) speeds[q] /= factor;
+        for (int c = 0; c < 3; c++) twist[c] /= factor;
     }
     for (int attempt = 0; attempt < 8; attempt++) {
         const double filled = sum(ramps_of(theta, family).length) / (MAX_RAMPS * family.period);
         if (filled > 1) slow_down(1.001 * filled);
-        Line line = line_of(theta, family);
-        Moved moved = motion(line, family.steps);
+        Run run = run_of(theta, family);
+        const Moved& moved = run.moved;
         const int n = moved.pose.rows;
         const Samples pose{moved.pose[0], n, 3, 1}, twist{moved.twist[0], n, 3, 1};
         const View<const double, 1> dt{moved.dt.data(), {n}};
         const double used =
             limit_use(pose, twist, {moved.accel[0], n, 3, 1}, dt, family.limits, true);
-        if (used <= 1) return {std::move(theta), std::move(line), std::move(moved)};
+        if (used <= 1) return run;
         slow_down(1.01 * used);
     }
-    Line line = line_of(theta, family);
-    Moved moved = motion(line, family.steps);
-    return {std::move(theta), std::move(line), std::move(moved)};
+    return run_of(theta, family);
 }
 
 // Converts derivatives with respect to the knots to derivatives with respect to the parameters. Row
@@ -108,19 +109,14 @@ inline void parameters_back(const Parameters& theta, const Sequences& family, co
                             const std::vector<int>& results, Matrix& jacobian) {
     const ByRotations found = timeline_back(holds_of(theta, family), ramps_of(theta, family),
                                             family.period, by);
-    const int count = family.count(), own = family.own();
+    const int count = family.count;
     jacobian.resize(static_cast<int>(results.size()), family.parameters());
     for (int row = 0; row < jacobian.rows; row++) {
         const int r = results[row];
         for (int j = 0; j <= count; j++)
-            jacobian[row][j] = found.hold[j][r] * family.hold_scale;
-        for (int j = 0; j < count; j++)
-            for (int q = 0; q < own; q++) {
-                double along = 0;
-                for (int c = 0; c < 3; c++)
-                    along += found.twist[3 * j + c][r] * family.basis(j, q, c);
-                jacobian[row][count + 1 + j * own + q] = along;
-            }
+            jacobian[row][j] = found.hold[j][r] * (1.0 / count);
+        for (int q = 0; q < 3 * count; q++)
+            jacobian[row][count + 1 + q] = found.twist[q][r] * family.scale[q % 3];
     }
 }
 

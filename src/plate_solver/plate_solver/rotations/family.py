@@ -1,12 +1,23 @@
-"""Sequences of rotations as a parametrised family of motions.
+"""Sequences of rotations as a parametrised family of closed motions, from rest to rest.
 
-The parameters are the durations and twists of the rotations. The family computes the sampled
-motion, its derivatives with respect to the parameters, the violations of limits, and the finished
-cycle.
+Rotation j has a constant twist u_j during its hold. A smooth ramp connects rotation j to the next
+rotation. The acceleration limit a determines the length h of the ramp. A smooth correction over the
+whole period T removes the gap between end and start. Therefore every sequence closes exactly:
+
+    twist on a ramp   u_j + (u_{j+1} - u_j) x^2 (3 - 2 x),    x from 0 to 1,
+    length            h = 1.5 (velocity change of the fastest corner) / a,
+    pose              integral of the twist - gap y^3 (10 - 15 y + 6 y^2),    y = t/T.
+
+The derivatives are exact. One backward pass over the knots computes the derivatives (sequence.hpp).
+
+Knots of J rotations: knot 0 is the start at rest. Knots 2 j + 1 and 2 j + 2 are the start and the
+end of rotation j (counted from 0). At knot 2 J + 1 the plate comes to rest. Knot 2 J + 2 is the end
+of the period.
 """
 
 from __future__ import annotations
 
+from copy import copy
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +26,6 @@ from plate_core import PlateCycle
 
 from .. import _kernels
 from ..limits import Limits
-from .sequence import knot_poses, motion
 
 RAMP_STEPS = 8
 """Number of time steps per ramp during a search. A ramp is the transition from one rotation to the
@@ -37,27 +47,29 @@ UNLIMITED_M = 1e9
 
 
 class Sequences(NamedTuple):
-    """Data of `RotationFamily` for J rotations, in the form that the C++ kernels use.
+    """Data of `RotationFamily` in the form that the C++ kernels use.
 
     Attributes
     ----------
-    basis : (J, F, 3)
-        Twist j is the product of its F parameters and basis j.
-    hold_scale : float
-        Relative duration of a rotation whose duration parameter is 1.
+    count : int
+        Number of rotations J.
+    scale : (3,)
+        Twist of a rotation whose three speed parameters are 1 [m/s, m/s, rad/s].
     period, accel : float
         Length of the cycle [s] and peak acceleration of ramps [m/s2].
     loads : (m, 3)
         Limits of the motors' forces. Each row, multiplied by a plate acceleration, must not exceed
         the acceleration limit `accel`. Without a check of the forces, the array is empty.
     steps : (int, int)
-        Number of steps in each ramp, and number of steps in each hold.
+        Number of equal steps in each ramp, and in each hold. No step crosses the end of a ramp or
+        hold. Therefore the results depend on the parameters as smoothly as the friction model
+        permits.
     limits : Limits
         Limits of the rig. The stroke is `UNLIMITED_M` if it is not checked.
     """
 
-    basis: np.ndarray
-    hold_scale: float
+    count: int
+    scale: np.ndarray
     period: float
     accel: float
     loads: np.ndarray
@@ -65,20 +77,32 @@ class Sequences(NamedTuple):
     limits: Limits
 
 
-Line = tuple[np.ndarray, np.ndarray]
-Moved = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+class Run(NamedTuple):
+    """Motion of a sequence.
 
+    Attributes
+    ----------
+    parameters : (P,)
+    times : (K,)
+        Times of the knots [s].
+    knots : (K, 3)
+        Twists at the knots.
+    pose, twist, accel : (n, 3)
+        Samples at the middles of the steps.
+    dt : (n,)
+        Lengths of the steps [s].
+    corners : (K, 3)
+        Poses at the knots before the correction that closes the motion. The last one is the gap.
+    """
 
-def line_of(theta: np.ndarray, family: Sequences) -> Line:
-    """Return the knot times and the twists at the knots. The module `sequence` describes the
-    knots."""
-    return _kernels.line_of(theta, family)
-
-
-def runnable(theta: np.ndarray, family: Sequences) -> tuple[np.ndarray, Line, Moved]:
-    """Make the parameters admissible. Return the admissible parameters, and the knots and samples
-    of the motion. Admissible parameters have positive durations and a motion within the limits."""
-    return _kernels.runnable(theta, family)
+    parameters: np.ndarray
+    times: np.ndarray
+    knots: np.ndarray
+    pose: np.ndarray
+    twist: np.ndarray
+    accel: np.ndarray
+    dt: np.ndarray
+    corners: np.ndarray
 
 
 class RotationFamily:
@@ -101,15 +125,14 @@ class RotationFamily:
     ) -> None:
         self._limits = limits
         self.period = period
-        # the last parameters, with the knots and samples of their motion
-        self._known: tuple[np.ndarray, Line, Moved] | None = None
+        self._last: Run | None = None
         # factors that convert x, y and theta to lengths [m]
         self._lengths = np.array([1.0, 1.0, limits.arm_m])
         hold_steps = max(MIN_STEPS, round(period / len(twists) / HOLD_STEP))
         stroke = limits.stroke_m if within_stroke else UNLIMITED_M
         self.plain = Sequences(
-            np.repeat(np.diag(speed / self._lengths)[None], len(twists), axis=0),
-            1 / len(twists),
+            len(twists),
+            speed / self._lengths,
             period,
             RAMP_PART * limits.accel,
             limits.accel * limits.loads[2] if limits.forceful else np.empty((0, 3)),
@@ -118,37 +141,25 @@ class RotationFamily:
         )
         self._speed_parameters = (twists * self._lengths).ravel()
 
-    @property
-    def count(self) -> int:
-        """Number of rotations J."""
-        return len(self.plain.basis)
-
-    def finer(self, steps: tuple[int, int] | int) -> RotationFamily:
-        """Return the family with other numbers of steps per ramp and hold. An integer `steps`
-        multiplies the present numbers of steps."""
-        if isinstance(steps, int):
-            steps = self.plain.steps[0] * steps, self.plain.steps[1] * steps
-        other = object.__new__(RotationFamily)
-        other.__dict__.update(self.__dict__, plain=self.plain._replace(steps=steps), _known=None)
+    def with_steps(self, steps: tuple[int, int]) -> RotationFamily:
+        """Return the family with other numbers of steps per ramp and hold."""
+        other = copy(self)
+        other.plain, other._last = self.plain._replace(steps=steps), None
         return other
 
     def parameters(self, fraction: np.ndarray) -> np.ndarray:
         """Return the parameters for durations (J,) as fractions of the cycle. The remaining time is
         rest at the end."""
         total = float(np.sum(fraction))
-        holds = np.append(fraction / max(1.0, total), max(0.0, 1.0 - total)) / self.plain.hold_scale
+        holds = np.append(fraction / max(1.0, total), max(0.0, 1.0 - total))
+        holds /= 1 / self.plain.count
         return self.admissible(np.concatenate([holds, self._speed_parameters]))
 
     def samples(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return pose and twist (n, 3) at the middles of the steps, and the step lengths (n,) [s].
-
-        The result is cached for the parameter array. Therefore the array must not be modified in
-        place.
-        """
-        line, moved = self._timeline(parameters), self._motion(parameters)
-        self._known = parameters, line, moved
-        pose, twist, _, dt, _ = moved
-        return pose, twist, dt
+        """Return pose and twist (n, 3) at the middles of the steps, and the step lengths (n,)
+        [s]."""
+        run = self._run(parameters)
+        return run.pose, run.twist, run.dt
 
     def pull_back(
         self, parameters: np.ndarray, by_pose: np.ndarray, by_twist: np.ndarray, by_dt: np.ndarray
@@ -170,25 +181,25 @@ class RotationFamily:
 
         The stroke limit is applied only if `within_stroke` is set.
         """
-        self._known = runnable(np.asarray(parameters, dtype=float), self.plain)
-        return self._known[0]
+        self._last = Run(*_kernels.runnable(np.asarray(parameters, dtype=float), self.plain))
+        return self._last.parameters
 
     def penalty(self, parameters: np.ndarray) -> np.ndarray:
         """Return the additional errors (7,) [m], all with a negative sign: the gap between end and
         start of the sequence (3,), and the motors' travel beyond the stroke (4,)."""
-        pose, _, _, _, gap = self._motion(parameters)
-        travel = pose @ self._limits.levers.T
+        run = self._run(parameters)
+        travel = run.pose @ self._limits.levers.T
         stroke = self._limits.stroke_m
         over = np.maximum(travel.max(axis=0) - stroke, 0) + np.minimum(
             travel.min(axis=0) + stroke, 0
         )
-        return -np.concatenate([gap * self._lengths, over])
+        return -np.concatenate([run.corners[-1] * self._lengths, over])
 
     def penalty_slopes(self, parameters: np.ndarray) -> np.ndarray:
         """Return the negative derivatives (7, P) of the penalty."""
         rows = self._limits.levers
         gap = _kernels.gap_slopes(parameters, self.plain) * self._lengths[:, None]
-        pose = self._motion(parameters)[0]
+        pose = self._run(parameters).pose
         travel = pose @ rows.T
         by_pose = np.zeros((3, len(pose), len(rows)))
         for i, row in enumerate(rows):
@@ -201,8 +212,8 @@ class RotationFamily:
 
     def cycle(self, parameters: np.ndarray) -> PlateCycle:
         """Return the motion as a plate cycle, with knots at the ends of the ramps."""
-        times, twist = self._timeline(parameters)
-        pose = knot_poses(times, twist)
+        run = self._run(parameters)
+        times, twist, pose = run.times, run.knots, run.corners
         period, y = times[-1], times / times[-1]
         shape = np.column_stack(
             [
@@ -218,12 +229,10 @@ class RotationFamily:
             times[keep], (pose - bump[:, 0])[keep], (twist - bump[:, 1])[keep], -bump[keep, 2]
         )
 
-    def _timeline(self, parameters: np.ndarray) -> Line:
-        if self._known is not None and self._known[0] is parameters:
-            return self._known[1]
-        return line_of(parameters, self.plain)
-
-    def _motion(self, parameters: np.ndarray) -> Moved:
-        if self._known is not None and self._known[0] is parameters:
-            return self._known[2]
-        return motion(*self._timeline(parameters), self.plain.steps)
+    def _run(self, parameters: np.ndarray) -> Run:
+        """Return the motion of the parameters. The last result is cached for its parameter array.
+        Therefore the array must not be modified in place."""
+        if self._last is None or self._last.parameters is not parameters:
+            run = Run(*_kernels.run_of(parameters, self.plain))
+            self._last = run._replace(parameters=parameters)
+        return self._last

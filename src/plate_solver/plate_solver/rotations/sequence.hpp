@@ -1,11 +1,6 @@
-// C++ kernels of sequence.py, which composes J rotations of the plate to a closed motion. At the
-// end of a closed motion, the plate is again at its initial pose.
-//
-// The knots are the times between the segments of the motion:
-// - knot 0: start of the period, at rest
-// - knots 2 j + 1 and 2 j + 2: start and end of rotation j, for j from 0 to J - 1
-// - knot 2 J + 1: time at which the plate comes to rest
-// - knot 2 J + 2: end of the period
+// Composes J rotations of the plate to a closed motion, and computes the derivatives of this motion.
+// At the end of a closed motion, the plate is again at its initial pose. The file family.py contains
+// the formulas, and describes the knots, which are the times between the segments of the motion.
 #pragma once
 #include <algorithm>
 #include <array>
@@ -137,12 +132,12 @@ struct Place {
 };
 
 // Samples of a motion: pose, twist and acceleration (n, 3) at the middles of the time steps, and
-// the step lengths dt (n,). `gap` is the final pose minus the initial pose before the correction
-// that closes the motion.
+// the step lengths dt (n,). `corners` (K, 3) are the poses at the knots before the correction that
+// closes the motion. Their last row is the gap between end and start.
 struct Moved {
     Matrix pose, twist, accel;
     std::vector<double> dt;
-    std::array<double, 3> gap;
+    Matrix corners;
 };
 
 // Returns the number of time steps of a motion. Each ramp has steps[0] steps. Each hold, in which
@@ -153,9 +148,9 @@ inline int steps_of(const Line& line, const std::array<int, 2>& steps) {
 
 inline Moved motion(const Line& line, const std::array<int, 2>& steps) {
     const int n = steps_of(line, steps), segments = line.segments();
-    Moved moved{Matrix(n, 3), Matrix(n, 3), Matrix(n, 3), std::vector<double>(n), {}};
-    const Matrix corners = knot_poses(line);
-    std::copy_n(corners[segments], 3, moved.gap.begin());
+    Moved moved{Matrix(n, 3), Matrix(n, 3), Matrix(n, 3), std::vector<double>(n), knot_poses(line)};
+    const Matrix& corners = moved.corners;
+    const double* gaps = corners[segments];
     int i = 0;
     for (int k = 0; k < segments; k++) {
         const int parts = steps[k % 2];
@@ -165,7 +160,7 @@ inline Moved motion(const Line& line, const std::array<int, 2>& steps) {
             const Place at(line, k, part, parts);
             const double x = at.x, square = x * x, bend = h > 0 ? 6 * x * (1 - x) / h : 0.0;
             for (int c = 0; c < 3; c++) {
-                const double u = from[c], d = to[c] - u, gap = moved.gap[c];
+                const double u = from[c], d = to[c] - u, gap = gaps[c];
                 const double z =
                     corner[c] + h * (u * x + d * (x * square - 0.5 * (square * square)));
                 moved.pose[i][c] = z - gap * at.bump;
@@ -286,7 +281,7 @@ PLATE_WIDE inline ByKnots pull_back(const Line& line, const std::array<int, 2>& 
     return by;
 }
 
-// Returns the derivatives of the three components of `Moved::gap` with respect to the knots.
+// Returns the derivatives of the three components of the gap with respect to the knots.
 inline ByKnots gap_back(const Line& line) {
     ByKnots by(line, 3);
     for (int c = 0; c < 3; c++) by.corner[3 * line.segments() + c][c] = 1;

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -17,8 +18,8 @@ import numpy as np
 
 from plate_core import Rig
 
-from ..fit import Fit, basin_hopping
-from ..goal import Goal, Solution, fit_goal, goal_solution
+from ..fit import Fit, basin_hopping, fit
+from ..goal import Goal, Solution, goal_solution
 from ..library import Library
 from ..limits import within_limits
 from ..motion_solver import MotionSolver, check_options, make_options
@@ -149,28 +150,28 @@ class RotationCycles(MotionSolver):
             self._warm = None
         warm = self._warm is not None
 
-        def attempt(start: Start | Try, n: int) -> tuple[Try, float, int, bool]:
-            if isinstance(start, Try):
-                return start, start.fit.cost, 0, True
+        def attempt(start: Start, n: int) -> tuple[Try, float, int, bool]:
             max_iterations = options.iterations if warm and n == 0 else 2 * options.iterations
             found = fit_goal(goal, *start, tolerance, max_iterations)
             return Try(start.family, found), found.cost, found.iterations, found.cost <= enough
 
-        def propose(number: int, near: Try, fresh: bool) -> Start | Try:
-            if time.monotonic() > until:
-                self.cut_short += 1
-                return near
+        def propose(number: int, near: Try, fresh: bool) -> Start:
             return self.planned(goal, spread=number > warm) if fresh else self._shaken(near)
 
-        begin: Start | Try = self._warm or self.planned(goal)
-        tries = 1 + options.restarts + warm
-        best, iterations = basin_hopping(propose, attempt, begin, tries, fresh=warm)
+        def expired() -> bool:
+            late = time.monotonic() > until
+            self.cut_short += late
+            return late
+
+        begin, tries = self._warm or self.planned(goal), 1 + options.restarts + warm
+        best, iterations = basin_hopping(propose, attempt, begin, tries, warm, expired)
         family, found = best
         self._warm = Start(family, found.parameters)
         solution = self._finished(goal, best, good_enough, iterations)
         # the time steps of the search were too coarse
         if found.cost <= enough and not solution.success:
-            fine = family.finer(FINER)
+            ramp, hold = family.plain.steps
+            fine = family.with_steps((FINER * ramp, FINER * hold))
             found = fit_goal(goal, fine, found.parameters, tolerance, POLISH)
             iterations += found.iterations
             solution = self._finished(goal, Try(fine, found), good_enough, iterations)
@@ -208,39 +209,37 @@ class RotationCycles(MotionSolver):
             curl = turns.middle * 4 / (goal.friction_accel * period**2)
             curl = np.where(turns.weight > 0, curl, np.nan)
         plan = self._plan(goal.position, force, curl, spread)
-        order = np.argsort(-plan.priority, kind="stable")
-        return self._family(plan.in_order(order), period)
+        plan = plan.in_order(np.argsort(-plan.priority, kind="stable"))
+        family = RotationFamily(plan.twist, self._limits, period, self.options.speed)
+        return Start(family, family.parameters(plan.fraction))
 
     def _plan(
-        self,
-        position: np.ndarray,
-        force: np.ndarray,
-        curl: np.ndarray | None,
-        spread: bool,
+        self, position: np.ndarray, force: np.ndarray, curl: np.ndarray | None, spread: bool
     ) -> RotationPlan:
-        cost = None
-        if spread:
-            cost = 1 + SPREAD * self._rng.random(len(self.library.twist))
+        cost = 1 + SPREAD * self._rng.random(len(self.library.twist)) if spread else None
         price, basis = self.options.max_price, self._basis
         plan = plan_rotations(self.library, position, force, curl, price, basis, cost)
         self._basis = plan.times.basis
         return plan
 
-    def _family(
-        self,
-        plan: RotationPlan,
-        period: float,
-        steps: tuple[int, int] | None = None,
-        within_stroke: bool = False,
-    ) -> Start:
-        """Return the `RotationFamily` of a plan, and the parameters of the plan."""
-        options = self.options
-        family = RotationFamily(
-            plan.twist,
-            self._limits,
-            period,
-            options.speed,
-            steps,
-            within_stroke,
-        )
-        return Start(family, family.parameters(plan.fraction))
+
+def fit_goal(
+    goal: Goal, family: RotationFamily, parameters: np.ndarray, tolerance: float, iterations: int
+) -> Fit:
+    """Fit the parameters of a motion to a goal by Levenberg-Marquardt.
+
+    The errors are those of `Goal.error` and `RotationFamily.penalty` [m]. The search stops when the
+    largest error is at most `tolerance` [m].
+    """
+
+    def evaluate(theta: np.ndarray) -> tuple[np.ndarray, Callable[[], np.ndarray]]:
+        samples = family.samples(theta)
+        error, slope = goal.error(goal.end(*samples))
+
+        def slopes() -> np.ndarray:
+            jacobian = family.pull_back(theta, *goal.end_slopes(*samples))
+            return np.vstack([slope @ jacobian, family.penalty_slopes(theta)])
+
+        return np.concatenate([error, family.penalty(theta)]), slopes
+
+    return fit(evaluate, family.admissible, parameters, tolerance, iterations)

@@ -11,13 +11,6 @@ using descent::Motions;
 using descent::Problem;
 
 template <class Number = double>
-static MatrixOf<Number> matrix_of(const Table& array) {
-    MatrixOf<Number> result(array.shape(0), array.shape(1));
-    std::copy_n(array.data(), array.size(), result[0]);
-    return result;
-}
-
-template <class Number = double>
 static MatrixOf<Number> transposed(const Table& array) {
     MatrixOf<Number> result(array.shape(1), array.shape(0));
     for (int i = 0; i < result.rows; i++)
@@ -74,8 +67,7 @@ static nb::tuple descend(const Motions& motions, const descent::Settling& settli
                          double maximum, Numbers theta, double tolerance, int iterations) {
     const bool turning = start.shape(1) == TURNING_STATE;
     const size_t ends = nb::cast<Numbers>(ends_record[0]).size(), axes = turning ? 3 : 2;
-    const EndsRecord record(ends_record, ends);
-    const Problem problem{motions, settling, view(start), record.view(), coast, maximum};
+    const Problem problem{motions, settling, view(start), ends_of(ends_record, ends), coast, maximum};
     if (!turning) check("start", start, {start.shape(0), STATE});
     const size_t parts = problem.ends.parts;
     if (ends != axes * parts || start.shape(0) * LANES < parts)
@@ -88,7 +80,7 @@ static nb::tuple descend(const Motions& motions, const descent::Settling& settli
     {
         nb::gil_scoped_release others_may_run;
         static thread_local descent::Workspace workspace;
-        fit = descent::descend(problem, {theta.data(), theta.data() + theta.size()}, tolerance,
+        fit = descent::descend(problem, copied(theta), tolerance,
                                iterations, workspace);
     }
     return fields_of(std::move(fit));
