@@ -13,16 +13,8 @@ namespace plate {
 constexpr int MOTORS = 4;
 
 // MARGIN is the largest permitted fraction of the rig's limits in a search. CERTAIN is the largest
-// permitted fraction for a finished cycle. EQUAL_WEIGHT is the weight of samples at equal time
-// steps.
+// permitted fraction for a finished cycle.
 constexpr double MARGIN = 0.98, CERTAIN = 0.999;
-constexpr double EQUAL_WEIGHT[] = {1.0};
-
-// Weights of the control points of a spline whose pieces have equal length. The mean square of a
-// piece is at most the mean square of its six control points, because the six basis functions have
-// equal integrals. The last control point of a piece is also the first of the next piece. Therefore
-// this point counts twice.
-constexpr double HULL_WEIGHT[] = {2.0, 1, 1, 1, 1};
 
 // The rig's limits, or a fraction of these limits.
 struct Limits {
@@ -34,12 +26,6 @@ struct Limits {
     double heat;                 // peak force divided by continuous force
     bool forceful;               // whether force or heat can limit a motion
 };
-
-// Returns a view of weights (m,). Example: `weights(EQUAL_WEIGHT)`.
-template <int COUNT>
-View<const double, 1> weights(const double (&each)[COUNT]) {
-    return {each, {COUNT}};
-}
 
 [[gnu::always_inline]] inline void keep_greatest(Four& maximum, const Four& value) {
     const Four size = value < 0 ? -value : value;

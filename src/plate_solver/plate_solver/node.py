@@ -36,7 +36,7 @@ from plate_core.status import INPUT_TIMEOUT_S, Finding, Input, Level, used, wors
 from plate_interfaces.msg import PartForces
 
 from .controller import METHODS, Answer, Controller
-from .library import Library, condition_number
+from .library import condition_number
 
 RESTART_NS = 1_000_000_000
 """Threshold for the stamps of requests [ns]. If the stamp decreases by at least this time, the
@@ -144,7 +144,6 @@ class SolverNode(SafeLifecycleNode[Options]):
         )
         for warning in rig_warnings(rig, "motors", "limits"):
             self.get_logger().warning(warning.text)
-        self._library = Library.around(rig.plate.half)
         effort: dict[str, Any] = {"restarts": options.restarts} if options.restarts else {}
         threads = options.threads or len(os.sched_getaffinity(0))
         self._controller = Controller(rig, options.method, options.seed, threads=threads, **effort)
@@ -278,7 +277,7 @@ class SolverNode(SafeLifecycleNode[Options]):
     def _plate_condition(self) -> float:
         """Return the condition number of the forces that the plate can exert on the parts of the
         last request. The result is 0 if the request has no parts."""
-        return condition_number(self._rig, self._parts, self._library) if len(self._parts) else 0.0
+        return condition_number(self._rig, self._parts) if len(self._parts) else 0.0
 
     def _find(self, now: float) -> Finding:
         """Return the diagnostics of the received requests and of the solutions, in the form of

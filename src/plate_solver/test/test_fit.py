@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from plate_solver._kernels import least_norm_step
-from plate_solver.fit import basin_hopping, condition_of, fit
+from plate_solver._kernels import condition_of, least_norm_step
+from plate_solver.fit import basin_hopping, fit
 
 
 @pytest.mark.parametrize("damping", [0.0, 0.1])

@@ -54,7 +54,6 @@ CALLS = {
     "force_slopes": (THETA, FAMILY, *PLACES, ASKED),
     "fit_mean_force": (FORCES, THETA, 1e-3, 2),
     "mean_force_error": (FORCES, random(STEPS, 3), random(STEPS)),
-    "columns_of": (PROGRAMME[0], UNIT),
     "simplex": (*PROGRAMME, UNIT, np.ones(ROWS), 9),
     "short_tour": (random(4, 3), HALF),
     "unit_slips": (_circles(_cells()[:2]), PLACES[0], 0.2),
@@ -62,7 +61,7 @@ CALLS = {
     "proves": (_cells()[:2], PLACES[0], 0.2, random(2 * PARTS), 9.0),
 }
 MAY_BE_LONGER = {
-    ("invert", 0, 0), ("invert", 1, 0), ("ramps", 0, 0), ("ramps", 2, 0), ("columns_of", 0, 1),
+    ("invert", 0, 0), ("invert", 1, 0), ("ramps", 0, 0), ("ramps", 2, 0),
     ("unit_slips", 0, 0), ("unit_slips", 0, 1), ("unit_slips", 1, 0), ("best_triple", 0, 0),
     ("best_triple", 0, 1), ("short_tour", 0, 0), ("proves", 0, 0), ("sinusoid_forces", "waves", 1),
     "loads",
@@ -77,7 +76,5 @@ def test_arrays_that_do_not_belong_together_are_refused(name, check_refusals):
 @pytest.mark.parametrize("column", [-1, 6 + 2 * ROWS])
 def test_columns_that_there_are_not_are_refused(column):
     wrong = np.array([6, 7, 8, column])
-    with pytest.raises(ValueError, match="column"):
-        _kernels.columns_of(PROGRAMME[0], wrong)
     with pytest.raises(ValueError, match="column"):
         _kernels.simplex(*PROGRAMME, wrong, np.ones(ROWS), 9)

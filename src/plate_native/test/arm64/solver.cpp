@@ -114,7 +114,8 @@ static void limits_used(Draws& draws) {
     std::copy_n(some.data(), some.size() - 1, reinterpret_cast<double*>(&limits));
     limits.heat = 3, limits.forceful = true;
     const Samples poses{pose.data(), steps, 3, 1}, twists{twist.data(), steps, 3, 1};
-    put(limit_use(poses, twists, {accel.data(), steps, 3, 1}, weights(HULL_WEIGHT), limits, false));
+    const double weight[] = {2, 1, 1, 1, 1};
+    put(limit_use(poses, twists, {accel.data(), steps, 3, 1}, {weight, {5}}, limits, false));
 }
 
 static void unreachables(Draws& draws) {

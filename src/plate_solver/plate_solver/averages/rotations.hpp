@@ -16,11 +16,7 @@ namespace plate::rotations {
 // Options of the Levenberg-Marquardt method that also stop a slow search. A search stops if ten
 // steps reduce the squared error by less than 10 %. With a stricter criterion, some searches for
 // feasible forces would stop too early.
-constexpr Damping PATIENT = [] {
-    Damping damping = DAMPING;
-    damping.stall_steps = 10, damping.stall_fraction = 0.9;
-    return damping;
-}();
+constexpr Damping PATIENT{.stall_steps = 10, .stall_fraction = 0.9};
 
 // Average forces that a sequence of rotations must exert. `SequenceForces` in rotations.py
 // describes the fields.

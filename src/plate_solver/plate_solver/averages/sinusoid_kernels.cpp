@@ -34,11 +34,12 @@ static SampledBasis sampled_basis_of(const Table& pose, const Table& twist, cons
     return {across(pose, 0, n), across(twist, 0, n), across(accel, 0, n)};
 }
 
-// Converts a Python `SinusoidBasis` to `Motions`.
-static Motions motions_of(nb::tuple rules_record, nb::handle basis, nb::tuple limits,
+// Converts a Python `SinusoidBasis` to `Motions`. `hull` (3 c, h) contains the control points of
+// pose, twist and acceleration.
+static Motions motions_of(nb::tuple rules_record, nb::handle basis, Table hull, nb::tuple limits,
                           int candidates) {
     const auto table = [&](const char* name) { return nb::cast<Table>(basis.attr(name)); };
-    const Table span = table("span"), spline = table("spline"), hull = table("hull");
+    const Table span = table("span"), spline = table("spline");
     const nb::tuple knots = nb::cast<nb::tuple>(basis.attr("knots"));
     const Numbers times = nb::cast<Numbers>(basis.attr("times"));
     const RulesRecord record(rules_record, span.shape(0));
@@ -52,7 +53,7 @@ static Motions motions_of(nb::tuple rules_record, nb::handle basis, nb::tuple li
         .taylor = matrix_of(rules.taylor),
         .few = rules.few,
         .pieces = rules.pieces,
-        .span = matrix_of(view(span)),
+        .span = matrix_of(span),
         .steps = sampled_basis_of(table("pose"), table("twist"), table("accel"), size),
         .knots =
             sampled_basis_of(nb::cast<Table>(field(knots, 0)), nb::cast<Table>(field(knots, 1)),

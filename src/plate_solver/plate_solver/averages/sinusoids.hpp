@@ -53,6 +53,15 @@ constexpr int LEG_STEPS = 8;
 // A leg of a continuation ends if the force error is below this fraction of the requested forces.
 constexpr double LEG_ERROR = 0.03;
 
+// Weight of samples at equal time steps.
+constexpr double EQUAL_WEIGHT[] = {1.0};
+
+// Weights of the control points of a spline whose pieces have equal length. The mean square of a
+// piece is at most the mean square of its six control points, because the six basis functions have
+// equal integrals. The last control point of a piece is also the first of the next piece. Therefore
+// this point counts twice.
+constexpr double HULL_WEIGHT[] = {2.0, 1, 1, 1, 1};
+
 // h sinusoidal motions of N harmonics. Each motion of the search is a linear combination of these h
 // motions.
 struct Motions {
@@ -277,7 +286,7 @@ private:
     // of the rig.
     void to_full_amplitude(std::vector<double>& theta) {
         set_coefficients(theta);
-        const double used = use_of(motions.steps, weights(EQUAL_WEIGHT), true);
+        const double used = use_of(motions.steps, {EQUAL_WEIGHT, {1}}, true);
         if (used > 0)
             for (double& value : theta) value /= used;
     }
@@ -347,7 +356,7 @@ private:
         // Four rounds suffice, because the utilisation of the limits is nearly proportional to the
         // factor. Only the rotation of the plate has a quadratic effect.
         for (int round = 0; round < 4; round++) {
-            const double used = MARGIN * use_of(motions.hull, weights(HULL_WEIGHT), false);
+            const double used = MARGIN * use_of(motions.hull, {HULL_WEIGHT, {5}}, false);
             if (used <= CERTAIN) break;
             const double factor = 0.9999 * CERTAIN / used;
             for (int k = 0; k < 3 * size; k++) own[0][k] *= factor;

@@ -20,6 +20,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from plate_core.motion import PIECES, control_points
+
 from .. import _kernels
 from ..limits import Limits
 from ..sinusoids.basis import SinusoidBasis
@@ -35,7 +37,12 @@ Motions = _kernels.AveragedMotions
 def motions_of(number: int, basis: SinusoidBasis, limits: Limits) -> Motions:
     """Convert a basis with `number` harmonics and the limits of a rig to the form that the C++
     kernels use."""
-    return _kernels.averaged_motions(force_rules(number), basis, limits, FEW_CANDIDATES)
+    # For up to two harmonics, one piece per knot interval is sufficient: the control points
+    # overestimate the motion by only 0.1 %.
+    pieces = 1 if number <= 2 else PIECES
+    spline = basis.spline.reshape(len(basis.times) - 1, 6, -1)
+    hull = np.vstack([control_points(basis.times, spline, order, pieces) for order in range(3)])
+    return _kernels.averaged_motions(force_rules(number), basis, hull, limits, FEW_CANDIDATES)
 
 
 class InversionResult(NamedTuple):

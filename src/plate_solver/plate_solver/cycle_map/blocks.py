@@ -16,17 +16,19 @@ from .. import _kernels
 LANES: int = _kernels.LANES
 """Number of parts in a block."""
 
-STATE: int = _kernels.STATE
-"""Size of the state of a block, as a number of rows with `LANES` numbers each. blocks.hpp lists the
-rows."""
-
 
 def blocks_of(
     position: np.ndarray, velocity: np.ndarray, friction_accel: np.ndarray, dt: float
 ) -> np.ndarray:
-    """Return the state of M parts as b blocks (b, `STATE`). Unused places of the last block contain
-    zeros."""
-    rows = np.column_stack([position, velocity, friction_accel * dt])
-    state = np.zeros((-(-len(rows) // LANES) * LANES, 5), np.float32)
+    """Return the state of M parts as b blocks (b, 5 `LANES`), as in blocks.hpp. Unused places of the
+    last block contain zeros."""
+    return packed(np.column_stack([position, velocity, friction_accel * dt]), np.zeros(5))
+
+
+def packed(rows: np.ndarray, unused: np.ndarray) -> np.ndarray:
+    """Arrange rows (M, k) of numbers, one row per part, in b blocks (b, k `LANES`). Unused places
+    of the last block contain the row `unused` (k,)."""
+    state = np.tile(unused.astype(np.float32), (-(-len(rows) // LANES) * LANES, 1))
     state[: len(rows)] = rows
-    return np.ascontiguousarray(state.reshape(-1, LANES, 5).transpose(0, 2, 1)).reshape(-1, STATE)
+    blocks = state.reshape(-1, LANES, len(unused)).transpose(0, 2, 1)
+    return np.ascontiguousarray(blocks).reshape(-1, len(unused) * LANES)

@@ -153,8 +153,7 @@ static void bind_blocks(nb::module_& m, const char* trace_name, const char* adjo
 
 void bind_cycle_map(nb::module_& m) {
     m.attr("LANES") = LANES;
-    m.attr("STATE") = STATE, m.attr("TRACE") = TRACE;
-    m.attr("TURNING_STATE") = TURNING_STATE, m.attr("TURNING_TRACE") = TURNING_TRACE;
+    m.attr("TRACE") = TRACE, m.attr("TURNING_TRACE") = TURNING_TRACE;
     bind_stick_slip(m);
     bind_turning(m);
     bind_blocks<trace, adjoint>(m, "trace", "adjoint", 2, STATE, TRACE);

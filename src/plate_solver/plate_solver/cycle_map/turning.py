@@ -22,11 +22,7 @@ from __future__ import annotations
 import numpy as np
 
 from .. import _kernels
-from .blocks import LANES
-
-TURNING_STATE: int = _kernels.TURNING_STATE
-"""Size of the state of a block, as a number of rows with `LANES` numbers each. turning.hpp lists
-the rows."""
+from .blocks import packed
 
 
 def home_spread(spread: np.ndarray, angle: np.ndarray) -> np.ndarray:
@@ -96,13 +92,10 @@ def turning_blocks_of(
     position: np.ndarray, velocity: np.ndarray, friction_accel: np.ndarray, dt: float,
     spin: np.ndarray, spread: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
-    """Return the state of parts as b blocks (b, `TURNING_STATE`). The arguments are the same as in
-    `end_turning`. Unused places of the last block contain parts at rest."""
-    still = np.zeros(len(position))
-    rows = np.column_stack([position, velocity, friction_accel * dt, still, spin, spread])
-    state = np.zeros((-(-len(rows) // LANES) * LANES, 10), np.float32)
-    # the default second moments xx and yy prevent a division by zero in unused places
-    state[:, 7] = state[:, 9] = 1.0
-    state[: len(rows)] = rows
-    blocks = state.reshape(-1, LANES, 10).transpose(0, 2, 1)
-    return np.ascontiguousarray(blocks).reshape(-1, TURNING_STATE)
+    """Return the state of parts as b blocks (b, 10 `LANES`), as in turning.hpp. The arguments are
+    the same as in `end_turning`. Unused places of the last block contain parts at rest."""
+    rows = np.column_stack(
+        [position, velocity, friction_accel * dt, np.zeros(len(position)), spin, spread]
+    )
+    # the second moments xx and yy of unused places prevent a division by zero
+    return packed(rows, np.array([0, 0, 0, 0, 0, 0, 0, 1, 0, 1]))

@@ -6,6 +6,6 @@ in the kernels.
 """
 
 from .basin_hopping import basin_hopping
-from .levenberg_marquardt import Fit, condition_of, fit
+from .levenberg_marquardt import Fit, fit
 
-__all__ = ["Fit", "basin_hopping", "condition_of", "fit"]
+__all__ = ["Fit", "basin_hopping", "fit"]

@@ -23,8 +23,8 @@ static nb::tuple fit(nb::callable evaluate, nb::callable admissible, Numbers sta
     const auto slopes_there = [&](Matrix& jacobian) {
         jacobian = matrix_of(nb::cast<Table>(slopes()));
     };
-    return fields_of(levenberg_marquardt<double>(evaluate_there, slopes_there, copied(start),
-                                                 DAMPING, tolerance, iterations));
+    return fields_of(levenberg_marquardt<double>(evaluate_there, slopes_there, copied(start), {},
+                                                 tolerance, iterations));
 }
 
 void bind_fit(nb::module_& m) {

@@ -235,7 +235,9 @@ PLATE_WIDE void make_tridiagonal(Matrix& square, Tridiagonal& result) {
 double condition_of(const Matrix& jacobian) {
     Matrix across, square;
     const bool wide = jacobian.rows <= jacobian.columns;
-    if (wide) transpose(jacobian, across);
+    if (wide) across.resize(jacobian.columns, jacobian.rows);
+    for (int i = 0; wide && i < jacobian.rows; i++)
+        for (int c = 0; c < jacobian.columns; c++) across[c][i] = jacobian[i][c];
     const Matrix& tall = wide ? across : jacobian;
     const int count = tall.columns;
     square.resize(count, count);

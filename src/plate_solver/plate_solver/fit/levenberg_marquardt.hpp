@@ -1,6 +1,7 @@
 // C++ kernels of levenberg_marquardt.py: the Levenberg-Marquardt method for few errors and many
 // parameters.
 #pragma once
+#include <climits>
 #include <cmath>
 #include <functional>
 #include <vector>
@@ -10,18 +11,14 @@
 namespace plate {
 
 // Options of the damping. The unit of the damping is the mean squared length of the Jacobian's
-// rows.
+// rows. With the default values, the search never stops because of slow progress.
 struct Damping {
-    double first, minimum, maximum;  // if the damping exceeds `maximum`, the search stops
-    double shrink, grow;        // factors after an accepted and after a rejected step
-    int stall_steps;            // if the last `stall_steps` steps leave more than
-    double stall_fraction;      // `stall_fraction` of the squared error, the search stops
+    double first = 1e-2, minimum = 1e-6;
+    double maximum = 1e3;         // if the damping exceeds this value, the search stops
+    double shrink = 3, grow = 4;  // factors after an accepted and after a rejected step
+    int stall_steps = INT_MAX;    // if the last `stall_steps` steps leave more than
+    double stall_fraction = 1;    // `stall_fraction` of the squared error, the search stops
 };
-
-// Options for expensive evaluations. The maximum damping is high. The search never stops because of
-// slow progress.
-constexpr Damping DAMPING{.first = 1e-2, .minimum = 1e-6, .maximum = 1e3, .shrink = 3.0, .grow = 4.0,
-                          .stall_steps = 1'000'000, .stall_fraction = 1.0};
 
 // Result of a search: parameters (P,), errors (R,), negative Jacobian of the errors (R, P), and
 // number of steps.
@@ -46,12 +43,6 @@ inline double worst(const std::vector<double>& error) {
     for (double value : error)
         if (std::abs(value) > maximum || std::isnan(value)) maximum = std::abs(value);
     return maximum;
-}
-
-inline void transpose(const Matrix& matrix, Matrix& across) {
-    across.resize(matrix.columns, matrix.rows);
-    for (int i = 0; i < matrix.rows; i++)
-        for (int c = 0; c < matrix.columns; c++) across[c][i] = matrix[i][c];
 }
 
 // Computes damped steps of minimum norm for a Jacobian J:

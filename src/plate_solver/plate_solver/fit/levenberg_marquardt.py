@@ -34,8 +34,8 @@ class Fit(NamedTuple):
 
     @property
     def condition(self) -> float:
-        """Condition number of the Jacobian. Infinite if the Jacobian is rank-deficient."""
-        return condition_of(self.jacobian)
+        """Condition number of the Jacobian. Infinite if it exceeds 1e7."""
+        return _kernels.condition_of(self.jacobian)
 
 
 def fit(
@@ -62,9 +62,3 @@ def fit(
         Maximum number of evaluations after the evaluation at `start`.
     """
     return Fit(*_kernels.fit(evaluate, admissible, start, tolerance, iterations))
-
-
-def condition_of(jacobian: np.ndarray) -> float:
-    """Return the condition number of the Jacobian. The condition number is infinite if it exceeds
-    1e7."""
-    return _kernels.condition_of(jacobian)

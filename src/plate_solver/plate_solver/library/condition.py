@@ -19,7 +19,7 @@ SAME = 1e-9
 """Eigenvalues below this fraction of the largest eigenvalue count as zero."""
 
 
-def condition_number(rig: Rig, position: np.ndarray, library: Library | None = None) -> float:
+def condition_number(rig: Rig, position: np.ndarray) -> float:
     """Return the condition number of part positions. The condition number is the ratio of the force
     in the easiest direction to the force in the most difficult direction, at least 1.
 
@@ -30,18 +30,16 @@ def condition_number(rig: Rig, position: np.ndarray, library: Library | None = N
     rig : Rig
     position : (M, 2)
         Positions of the parts, which are at rest [m, plate_home].
-    library : Library, optional
-        Rotations that the plate may use. Default: a grid of centres over the plate.
 
     Raises
     ------
     PlateError
         If the shape is not (M, 2), or a value is not finite.
     """
-    return second_moment(columns_of(rig, position, library))[0]
+    return second_moment(columns_of(rig, position))[0]
 
 
-def columns_of(rig: Rig, position: np.ndarray, library: Library | None) -> np.ndarray:
+def columns_of(rig: Rig, position: np.ndarray, library: Library | None = None) -> np.ndarray:
     """Return the unit forces of the library's K rotations (2 M, K). The rows are x and y of part 1,
     then of part 2, and so on."""
     position = np.asarray(position, dtype=float)

@@ -23,26 +23,6 @@ constexpr double PIVOT = 1e-9;
 // Number of pivots after which the inverse of the basis is recomputed.
 constexpr int REFRESH = 40;
 
-using Basis = View<int64_t, 1>;
-
-// Copies the columns of a basis to `chosen` (R, R). An index below K is a column of `matrix` (R,
-// K). K + r is the index of the slack variable for the unmet amount of row r. K + R + r is the
-// index of the slack variable for the exceeded amount of row r.
-inline void columns_of(View<const double, 2> matrix, View<const int64_t, 1> basis,
-                       View<double, 2> chosen) {
-    const int rows = matrix.size(0), count = matrix.size(1);
-    std::fill_n(chosen[0], rows * rows, 0.0);
-    for (int j = 0; j < rows; j++) {
-        const int q = static_cast<int>(basis(j));
-        if (q < count)
-            for (int i = 0; i < rows; i++) chosen(i, j) = matrix(i, q);
-        else if (q < count + rows)
-            chosen(q - count, j) = 1;
-        else
-            chosen(q - count - rows, j) = -1;
-    }
-}
-
 // Inverts a matrix by the Gauss-Jordan method with column pivoting. Returns whether the matrix is
 // regular.
 PLATE_WIDE inline bool invert_matrix(Matrix& matrix, Matrix& inverse) {
@@ -97,7 +77,7 @@ struct Entering {
 struct Programme {
     View<const double, 2> matrix;          // (R, K)
     View<const double, 1> right_side, price;   // (R,), (K + 2 R,)
-    Basis basis;                           // (R,)
+    View<int64_t, 1> basis;                // (R,): indices, see `TimeFractions.basis`
     View<double, 1> sense;                 // (R,)
     Matrix chosen, inverse;
     std::vector<double> amount, dual, value, column;
@@ -119,7 +99,14 @@ private:
 // amount is replaced by the slack variable of the exceeded amount, or the other way round.
 inline bool Programme::restart() {
     chosen.resize(rows(), rows());
-    columns_of(matrix, {basis.data, basis.shape}, {chosen[0], {rows(), rows()}});
+    std::fill_n(chosen[0], rows() * rows(), 0.0);
+    for (int j = 0; j < rows(); j++) {
+        const int q = static_cast<int>(basis(j)), slack = q - count();
+        if (slack < 0)
+            for (int i = 0; i < rows(); i++) chosen[i][j] = matrix(i, q);
+        else
+            chosen[slack % rows()][j] = slack < rows() ? 1 : -1;
+    }
     if (!invert_matrix(chosen, inverse)) return false;
     double maximum = 0;
     for (int i = 0; i < rows() * rows(); i++) maximum = std::max(maximum, std::abs(inverse[0][i]));

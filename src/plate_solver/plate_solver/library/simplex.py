@@ -35,8 +35,6 @@ class TimeFractions:
     ----------
     weights : (K,)
         Signed fractions of time of the rotations. At most R of them are not zero.
-    miss : (R,)
-        Difference b - A w between the requested and the produced quantities.
     price : (R,)
         Dual solution y: the additional cost per unit of each row's right-hand side. Any motion that
         is composed of these columns and produces b has at least the cost y . b.
@@ -47,17 +45,15 @@ class TimeFractions:
         problem. With K columns and R rows, index K + i is the unmet amount of row i, and index K +
         R + i is its exceeded amount.
     pivots : int
-    optimal : bool
-        False if the number of pivots reached its maximum. The solution is feasible in both cases.
+        Number of pivots. If the number reached its maximum, the solution is feasible, but not
+        optimal.
     """
 
     weights: np.ndarray
-    miss: np.ndarray
     price: np.ndarray
     cost: float
     basis: np.ndarray
     pivots: int
-    optimal: bool
 
 
 def min_time(
@@ -102,18 +98,19 @@ def min_time(
     if used < 0:  # there is no start basis, or its columns are linearly dependent
         basis = np.arange(count, count + rows)
         used = _kernels.simplex(matrix, shifted, price, basis, sense, pivots)
-    chosen = _kernels.columns_of(matrix, basis)
-    amount = np.linalg.solve(chosen, right_side)
     inside = basis < count
+    chosen = np.zeros((rows, rows))
+    chosen[:, inside] = matrix[:, basis[inside]]
+    slack = basis[~inside] - count
+    chosen[slack % rows, ~inside] = np.where(slack < rows, 1.0, -1.0)
+    amount = np.linalg.solve(chosen, right_side)
     weights = np.zeros(count)
     weights[basis[inside]] = amount[inside]
     signed = price[basis] * sense
     return TimeFractions(
         weights=weights,
-        miss=right_side - matrix @ weights,
         price=np.linalg.solve(chosen.T, signed),
         cost=float(signed @ amount),
         basis=basis,
         pivots=used,
-        optimal=used < pivots,
     )

@@ -38,8 +38,6 @@ class RotationPlan:
     priority : (J,)
         Priority as in section 3.1.4 of the paper: weight divided by the distance between the centre
         of rotation and the nearest part [1/m].
-    met : float
-        Fraction of the request that fits into the cycle, at most 1.
     times : TimeFractions
         Solution of the linear programme. The cost of this solution is the time that the plan needs
         [cycles].
@@ -48,7 +46,6 @@ class RotationPlan:
     twist: np.ndarray
     fraction: np.ndarray
     priority: np.ndarray
-    met: float
     times: TimeFractions
 
     def in_order(self, order: np.ndarray) -> RotationPlan:
@@ -111,6 +108,5 @@ def plan_rotations(
         fraction=np.abs(weight) / max(total, 1.0),
         priority=np.abs(weight)
         / np.maximum(library.clearance(position)[used % len(library.twist)], 1e-9),
-        met=1 / max(total, 1.0),
         times=times,
     )

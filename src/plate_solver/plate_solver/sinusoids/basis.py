@@ -29,7 +29,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from plate_core import PlateCycle
-from plate_core.motion import PIECES, control_points, quintic_pieces
+from plate_core.motion import quintic_pieces
 
 from ..limits import EQUAL_WEIGHT, Limits, limit_use
 
@@ -94,8 +94,6 @@ class SinusoidBasis:
     spline : (6 k, h)
         Coefficients of the polynomials between the knots, as `PlateCycle.coefficients`. The
         variable is the time since the last knot.
-    hull : (3 c, h)
-        Control points of pose, twist and acceleration, as `PlateCycle.control_points`.
     free_end : bool
         Whether motions may end in any state. Motions that end in any state have a tail.
     checks : tuple of (l, h)
@@ -119,7 +117,6 @@ class SinusoidBasis:
     times: np.ndarray
     knots: Matrices
     spline: np.ndarray
-    hull: np.ndarray
     free_end: bool
     checks: Matrices
     settling: Matrices
@@ -242,13 +239,8 @@ def sinusoid_basis(
     # The spline of a motion is a linear function of the coefficients. Therefore `spline` contains
     # one spline per coefficient.
     spline = quintic_pieces(times, *ends).reshape(-1, ends[0].shape[1])
-    # For up to two harmonics, one piece per knot interval is sufficient: the control points
-    # overestimate the motion by only 0.1 %.
-    pieces = 1 if number <= 2 else PIECES
-    own = spline.reshape(knots, 6, -1)
-    hull = np.vstack([control_points(times, own, order, pieces) for order in range(3)])
     one = SinusoidBasis(
-        period, steps, twist, pose, accel, span, times, ends, spline, hull, free_end, basis(checks),
+        period, steps, twist, pose, accel, span, times, ends, spline, free_end, basis(checks),
         settling(t), settling(times), settling(checks),
     )  # fmt: skip
     return one if plays == 1 else repeated(one, plays)

@@ -21,8 +21,7 @@ using namespace sinusoids;
 // Options of the Levenberg-Marquardt method. One cycle often moves the parts by only a small
 // fraction of the distance to their targets. With an initial damping of 1e-2, the first steps would
 // be too long, and most of the first five would be rejected.
-constexpr Damping DAMPING{.first = 1.0, .minimum = 1e-6, .maximum = 1e3, .shrink = 3.0, .grow = 4.0,
-                          .stall_steps = 6, .stall_fraction = 0.9999};
+constexpr Damping DAMPING{.first = 1.0, .stall_steps = 6, .stall_fraction = 0.9999};
 
 // A basis of h sinusoidal motions, and the rig's limits. The matrices for the motion of the parts
 // have single precision.

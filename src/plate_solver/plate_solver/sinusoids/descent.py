@@ -63,7 +63,7 @@ class Problem(NamedTuple):
     settling : _kernels.Settling
         Motion of the plate from its initial state to rest. The motion of the basis is added to this
         motion.
-    start : (b, STATE) or (b, TURNING_STATE)
+    start : (b, 5 LANES) or (b, 10 LANES)
         States of the parts at the start of the cycle, in blocks for the C++ kernels.
     ends : Ends
     coast : float
