@@ -20,8 +20,8 @@ LANES: int = _kernels.LANES
 def blocks_of(
     position: np.ndarray, velocity: np.ndarray, friction_accel: np.ndarray, dt: float
 ) -> np.ndarray:
-    """Return the state of M parts as b blocks (b, 5 `LANES`), as in blocks.hpp. Unused places of the
-    last block contain zeros."""
+    """Return the state of M parts as b blocks (b, 5 `LANES`), as in blocks.hpp. Unused places of
+    the last block contain zeros."""
     return packed(np.column_stack([position, velocity, friction_accel * dt]), np.zeros(5))
 
 

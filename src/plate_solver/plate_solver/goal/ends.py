@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+
 class Ends(NamedTuple):
     """Requested coordinates of M parts at the end of a cycle.
 
