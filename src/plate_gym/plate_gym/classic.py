@@ -12,7 +12,8 @@ from plate_core import Parts, PlateCycle, PlateError, part_class
 from plate_core.tasks import AssembleTask, FollowTask, Side, SortTask
 from plate_planner.tasks import assign
 from plate_solver import Limits
-from plate_solver.library import Library, grid, solve_weights
+from plate_solver.averages import solve_weights
+from plate_solver.library import Library, grid
 from plate_solver.rotations import RotationFamily
 
 from .agent import Brief

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from plate_solver.library import grid, rotation_matrix, solve_weights
+from plate_solver.averages import solve_weights
+from plate_solver.library import grid, rotation_matrix
 from plate_solver.library.library import Library, curl_matrix, unit_twists
 
 CORNERS = np.array([[-1, -0.5], [1, -0.5], [1, 0.5], [-1, 0.5]])

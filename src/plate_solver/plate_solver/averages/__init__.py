@@ -10,6 +10,7 @@ from .rotation_solver import RotationSolver
 from .sinusoid_force import force_rules, sinusoid_forces
 from .sinusoid_solver import SinusoidSolver
 from .unreachable import is_out_of_reach
+from .weights import solve_weights
 
 __all__ = [
     "Manipulability",
@@ -21,6 +22,7 @@ __all__ = [
     "library_force",
     "manipulability",
     "sinusoid_forces",
+    "solve_weights",
     "step_force_gradient",
     "step_forces",
 ]

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import linprog
 
 from ..goal import Solution, Status
-from ..library import Library
+from ..library import Library, min_time
 from .request import Request
 
 MAX_TRIED = 1.15
@@ -33,6 +33,10 @@ whole request achieves."""
 WORTH_IT = 0.5
 """If the root mean square error of the best motion exceeds this fraction of the root mean square of
 the request, the plate rests instead."""
+
+OUT_OF_REACH = 1e4
+"""Cost of a unit of force error [cycles / (mu m g)]. The cost is so high that force errors are 0
+whenever this is possible."""
 
 
 def easiest_force(request: Request, library: Library) -> np.ndarray:
@@ -101,7 +105,7 @@ def largest_fraction(
     low, best, high = (fits if whole.success else 0.0), whole, fits
     iterations = whole.iterations
     if not request.flags.moving and not request.flags.slack:
-        bound = library.reachable_fraction(request.position, request.force)
+        bound = reachable_fraction(library, request.position, request.force)
         high = min(high, MAX_TRIED * limit * bound)
     peak = float(np.max(np.abs(request.force)))
     trial = fits * CAUTION * _along(fits * request.force, whole.residual)
@@ -151,6 +155,23 @@ def largest_fraction(
         status=(Status.UNREACHABLE if proven else Status.PARTIAL if low > 0 else Status.FAILED),
         fraction=low,
     )
+
+
+def reachable_fraction(library: Library, position: np.ndarray, force: np.ndarray) -> float:
+    """Return the maximum factor by which the forces `force` (M, 2) [mu m g] can be multiplied
+    so that a motion can still produce them.
+
+    The reciprocal of the result is the minimum time that the forces need [cycles]. A linear
+    programme computes this time. It does not require that the motion is closed. The result is
+    an upper bound for all motions, because the forces of any motion are a weighted mean of the
+    forces of the library's twists. The finite number of twists causes an error of a few per
+    cent.
+    """
+    rows, right_side = library.forces(position), force.T.ravel()
+    if not np.any(right_side):
+        return float("inf")
+    dear = np.full(len(rows), OUT_OF_REACH)
+    return 1 / min_time(rows, right_side, np.ones(rows.shape[1]), dear, dear).cost
 
 
 def _along(requested: np.ndarray, missed: np.ndarray) -> float:

@@ -22,6 +22,7 @@ from ..rotations.family import RotationFamily
 from ..rotations.solver import RotationCycles, RotationOptions, Start, Try
 from .force_solver import ForceSolver
 from .mean_force import average_force
+from .partial import reachable_fraction
 from .refinement import force_solution
 from .request import Request
 from .rotations import fit_mean_force, mean_force_error
@@ -118,7 +119,7 @@ class RotationSolver(ForceSolver, RotationCycles):
         solution = force_solution(request, error, cycle, tolerance, iterations, found.condition)
         if solution.success or np.any(request.velocity):
             return solution
-        fraction = self.library.reachable_fraction(request.position, request.force)
+        fraction = reachable_fraction(self.library, request.position, request.force)
         if fraction >= 1:
             return solution
         return replace(

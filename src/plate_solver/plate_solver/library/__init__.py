@@ -5,14 +5,7 @@ Method A uses the library for planning. The library also bounds the averaged for
 """
 
 from .condition import condition_number
-from .library import (
-    CURL_LENGTH_M,
-    REACH,
-    Library,
-    grid,
-    rotation_matrix,
-    solve_weights,
-)
+from .library import CURL_LENGTH_M, REACH, Library, grid, rotation_matrix
 from .simplex import TimeFractions, min_time
 
 __all__ = [
@@ -24,5 +17,4 @@ __all__ = [
     "grid",
     "min_time",
     "rotation_matrix",
-    "solve_weights",
 ]

@@ -23,8 +23,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .simplex import min_time
-
 COLUMNS, ROWS = 30, 16
 """Numbers of centres of rotation along x and y. If both numbers were doubled, the maximum force of
 the library would increase by 6 %."""
@@ -39,10 +37,6 @@ TRANSLATIONS = 8
 CURL_LENGTH_M = 0.05
 """A curl error [mu m g / m] is multiplied by this length to compare it with a force error [mu m
 g]."""
-
-OUT_OF_REACH = 1e4
-"""Cost of a unit of force error [cycles / (mu m g)]. The cost is so high that force errors are 0
-whenever this is possible."""
 
 
 @dataclass(frozen=True)
@@ -105,22 +99,6 @@ class Library:
         nearest = np.hypot(arm[..., 0], arm[..., 1]).min(axis=0)
         return np.concatenate([nearest, np.full(len(self.direction), np.inf)])
 
-    def reachable_fraction(self, position: np.ndarray, force: np.ndarray) -> float:
-        """Return the maximum factor by which the forces `force` (M, 2) [mu m g] can be multiplied
-        so that a motion can still produce them.
-
-        The reciprocal of the result is the minimum time that the forces need [cycles]. A linear
-        programme computes this time. It does not require that the motion is closed. The result is
-        an upper bound for all motions, because the forces of any motion are a weighted mean of the
-        forces of the library's twists. The finite number of twists causes an error of a few per
-        cent.
-        """
-        rows, right_side = self.forces(position), force.T.ravel()
-        if not np.any(right_side):
-            return float("inf")
-        dear = np.full(len(rows), OUT_OF_REACH)
-        return 1 / min_time(rows, right_side, np.ones(rows.shape[1]), dear, dear).cost
-
 
 def rotation_matrix(position: np.ndarray, centre: np.ndarray) -> np.ndarray:
     """Return the matrix A of equation (10). The matrix contains the unit forces of rotations about
@@ -150,31 +128,6 @@ def curl_matrix(position: np.ndarray, centre: np.ndarray) -> np.ndarray:
     arm = position[:, None] - centre
     distance = np.hypot(arm[..., 0], arm[..., 1])
     return 1 / np.where(distance > 0, distance, np.inf)
-
-
-def solve_weights(
-    matrix: np.ndarray, right_side: np.ndarray, max_gain: float = np.inf
-) -> tuple[np.ndarray, float]:
-    """Solve the linear system for the weights. Return the solution of minimum norm, and the
-    condition number of the matrix.
-
-    Parameters
-    ----------
-    matrix : (R, N)
-        Matrix of the system, for example `rotation_matrix`. Rows of `curl_matrix` can follow.
-    right_side : (R,)
-        Right-hand side: N / (mu m g) times the requested forces.
-    max_gain : float
-        Upper bound of the reciprocal singular values (section 3.1.5). Singular directions with a
-        larger reciprocal are omitted. Otherwise, two parts close to each other would cause very
-        large weights.
-    """
-    left, values, right = np.linalg.svd(matrix, full_matrices=False)
-    keep = values * max_gain >= 1 if np.isfinite(max_gain) else values > 1e-12 * values[0]
-    inverse = np.where(keep, 1 / np.where(values > 0, values, 1.0), 0.0)
-    weights = right.T @ (inverse * (left.T @ right_side))
-    condition = float(values[0] / values[-1]) if values[-1] > 0 else float("inf")
-    return weights, condition
 
 
 def unit_twists(centre: np.ndarray, half: np.ndarray) -> np.ndarray:

@@ -226,8 +226,8 @@ class SinusoidCycles(MotionSolver):
         if key not in self._motions:
             self._motions[key] = Motions.of(family.basis, self._limits)
         motions = self._motions[key]
-        known = self._last_twist.get(key)
-        fresh = RANDOM_STARTS if known is None else 0
+        last_twist = self._last_twist.get(key)
+        fresh = RANDOM_STARTS if last_twist is None else 0
         aim = goal if goal.lasting else goal.ahead(FORCE_LOOKAHEAD_S, period)
         problem = Problem.of(aim, motions, BEYOND)
 
@@ -241,30 +241,21 @@ class SinusoidCycles(MotionSolver):
         def improved(start: np.ndarray) -> Fit:
             return descend(problem, start, tolerance, self.options.iterations)
 
-        def within(goal: Goal, start: np.ndarray) -> Fit:
-            """Improve a motion for a goal, and keep it within the limits."""
-            return descend(Problem.of(goal, motions, 1.0), start, tolerance, CORRECTIONS)
-
-        begin = family.random(self._rng) if known is None else family.nearest(known)
+        begin = family.random(self._rng) if last_twist is None else family.nearest(last_twist)
         enough = good_enough**2 * goal.requested_count
         max_starts = -(-self.options.restarts // plays) + fresh
         best, iterations = self._search(improved, start, begin, max_starts, enough, until)
         began = time.monotonic()
-        last = within(goal, best.parameters)
-        for _ in range(AIMS):
-            own = last.parameters
-            off = goal.end(*fine.samples(own)) - goal.end(*family.samples(own))
-            last = within(goal.shifted(-off), own)
-            iterations += last.iterations
-        self._last_twist[key] = family.samples(last.parameters)[1]
-        jacobian = last.jacobian[: goal.rows]
+        final, more = corrected(goal, motions, family, fine, best.parameters, tolerance)
+        self._last_twist[key] = family.samples(final.parameters)[1]
+        jacobian = final.jacobian[: goal.rows]
         jacobian = jacobian[np.any(jacobian != 0, axis=1)]
-        condition = last._replace(jacobian=jacobian).condition if len(jacobian) else 1.0
+        condition = final._replace(jacobian=jacobian).condition if len(jacobian) else 1.0
         self._finishing = time.monotonic() - began
         cycle = within_limits(
-            family.cycle(last.parameters), self._full, lambda: family.cycle(0 * begin)
+            family.cycle(final.parameters), self._full, lambda: family.cycle(0 * begin)
         )
-        return goal_solution(goal, cycle, good_enough, iterations, condition)
+        return goal_solution(goal, cycle, good_enough, iterations + more, condition)
 
     def _search(
         self,
@@ -278,12 +269,12 @@ class SinusoidCycles(MotionSolver):
         """Return the best result of all descents, and their total number of iterations."""
         began = time.monotonic()
         best = improved(begin)
-        last = until - self._finishing - (time.monotonic() - began)
+        latest = until - self._finishing - (time.monotonic() - began)  # start of a descent
         iterations, index = best.iterations, 0
         running: deque[Callable[[], Fit | None]] = deque()
 
         def in_time(start: np.ndarray) -> Fit | None:
-            return None if time.monotonic() > last else improved(start)
+            return None if time.monotonic() > latest else improved(start)
 
         while best.cost > enough and (running or index < max_starts):
             while index < max_starts and len(running) < AT_ONCE:
@@ -302,6 +293,26 @@ class SinusoidCycles(MotionSolver):
         return best, iterations
 
 
+def corrected(
+    goal: Goal, motions: Motions, family: SinusoidFamily, fine: SinusoidFamily,
+    parameters: np.ndarray, tolerance: float,
+) -> tuple[Fit, int]:  # fmt: skip
+    """Improve a motion of `family` for a goal, and keep it within the limits. Then correct the
+    motion `AIMS` times, until its end on the grid of `fine` agrees with the goal. Return the last
+    fit, and the number of iterations of these corrections."""
+
+    def improved(goal: Goal, start: np.ndarray) -> Fit:
+        return descend(Problem.of(goal, motions, 1.0), start, tolerance, CORRECTIONS)
+
+    final, iterations = improved(goal, parameters), 0
+    for _ in range(AIMS):
+        own = final.parameters
+        off = goal.end(*fine.samples(own)) - goal.end(*family.samples(own))
+        final = improved(goal.shifted(-off), own)
+        iterations += final.iterations
+    return final, iterations
+
+
 def family_on_grid(
     number: int, period: float, limits: Limits, grid: Grid = EXACT,
     free_end: bool = False, plate: np.ndarray | None = None, plays: int = 1,
@@ -311,7 +322,7 @@ def family_on_grid(
     The motions end at rest or, if `free_end`, in any state. `grid` is `EXACT`, `ROUGH` or `FINE`.
     The samples cover `plays` plays.
     """
-    max_step, min_checks, knots = grid
-    count = max(min_checks * max(number, 4), round(period / max_step))
+    max_step, steps_per_harmonic, knots = grid
+    count = max(steps_per_harmonic * max(number, 4), round(period / max_step))
     basis = sinusoid_basis(number, period, True, -(-count // BIN) * BIN, free_end, knots, plays)
     return SinusoidFamily(basis, limits, np.zeros((3, 3)) if plate is None else plate)
