@@ -42,9 +42,6 @@ RAMP_PART = 0.95
 """Fraction of the acceleration limit that ramps may use. The remaining acceleration is for the
 correction that closes the motion."""
 
-UNLIMITED_M = 1e9
-"""Stroke limit that disables the check of the stroke [m]."""
-
 
 class Sequences(NamedTuple):
     """Data of `RotationFamily` in the form that the C++ kernels use.
@@ -65,7 +62,7 @@ class Sequences(NamedTuple):
         hold. Therefore the results depend on the parameters as smoothly as the friction model
         permits.
     limits : Limits
-        Limits of the rig. The stroke is `UNLIMITED_M` if it is not checked.
+        Limits of the rig. The stroke is infinite if it is not checked.
     """
 
     count: int
@@ -129,7 +126,7 @@ class RotationFamily:
         # factors that convert x, y and theta to lengths [m]
         self._lengths = np.array([1.0, 1.0, limits.arm_m])
         hold_steps = max(MIN_STEPS, round(period / len(twists) / HOLD_STEP))
-        stroke = limits.stroke_m if within_stroke else UNLIMITED_M
+        stroke = limits.stroke_m if within_stroke else np.inf
         self.plain = Sequences(
             len(twists),
             speed / self._lengths,

@@ -9,11 +9,11 @@ using namespace rotations;
 
 // Returns the fields of the Python tuple `Run`.
 static nb::tuple fields_of(Run&& run) {
+    Moved& moved = run.moved;
     return nb::make_tuple(to_numpy(std::move(run.theta)), to_numpy(std::move(run.line.times)),
-                          to_numpy(std::move(run.line.knots)), to_numpy(std::move(run.moved.pose)),
-                          to_numpy(std::move(run.moved.twist)), to_numpy(std::move(run.moved.accel)),
-                          to_numpy(std::move(run.moved.dt)),
-                          to_numpy(std::move(run.moved.corners)));
+                          to_numpy(std::move(run.line.knots)), to_numpy(std::move(moved.pose)),
+                          to_numpy(std::move(moved.twist)), to_numpy(std::move(moved.accel)),
+                          to_numpy(std::move(moved.dt)), to_numpy(std::move(moved.corners)));
 }
 
 // Returns derivatives with respect to the parameters, one row per result. `by_knots(line)` computes

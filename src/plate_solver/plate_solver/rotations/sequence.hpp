@@ -1,6 +1,6 @@
-// Composes J rotations of the plate to a closed motion, and computes the derivatives of this motion.
-// At the end of a closed motion, the plate is again at its initial pose. The file family.py contains
-// the formulas, and describes the knots, which are the times between the segments of the motion.
+// Composes J rotations of the plate to a closed motion, and computes the derivatives of this
+// motion. At the end of a closed motion, the plate is again at its initial pose. The file family.py
+// contains the formulas, and describes the knots, which are the times between the segments.
 #pragma once
 #include <algorithm>
 #include <array>

@@ -216,12 +216,12 @@ private:
 // result contains the errors of the final positions and rotations, followed by the limit
 // violations.
 inline FitOf<float> descend(const Problem& problem, std::vector<double> theta, double tolerance,
-                   int iterations, Workspace& workspace) {
+                            int iterations, Workspace& workspace) {
     Descent descent(problem, workspace);
     return levenberg_marquardt<float>(
         [&](auto& parameters, auto& error) { descent.evaluate(parameters, error); },
-        [&](MatrixOf<float>& jacobian) { descent.slopes(jacobian); }, std::move(theta), DAMPING, tolerance,
-        iterations);
+        [&](MatrixOf<float>& jacobian) { descent.slopes(jacobian); }, std::move(theta), DAMPING,
+        tolerance, iterations);
 }
 
 }  // namespace plate::descent

@@ -67,7 +67,8 @@ static nb::tuple descend(const Motions& motions, const descent::Settling& settli
                          double maximum, Numbers theta, double tolerance, int iterations) {
     const bool turning = start.shape(1) == TURNING_STATE;
     const size_t ends = nb::cast<Numbers>(ends_record[0]).size(), axes = turning ? 3 : 2;
-    const Problem problem{motions, settling, view(start), ends_of(ends_record, ends), coast, maximum};
+    const Problem problem{motions, settling, view(start), ends_of(ends_record, ends),
+                          coast,   maximum};
     if (!turning) check("start", start, {start.shape(0), STATE});
     const size_t parts = problem.ends.parts;
     if (ends != axes * parts || start.shape(0) * LANES < parts)
@@ -80,8 +81,7 @@ static nb::tuple descend(const Motions& motions, const descent::Settling& settli
     {
         nb::gil_scoped_release others_may_run;
         static thread_local descent::Workspace workspace;
-        fit = descent::descend(problem, copied(theta), tolerance,
-                               iterations, workspace);
+        fit = descent::descend(problem, copied(theta), tolerance, iterations, workspace);
     }
     return fields_of(std::move(fit));
 }
