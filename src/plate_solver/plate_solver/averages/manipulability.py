@@ -124,8 +124,8 @@ def _force_along(columns: np.ndarray, direction: np.ndarray) -> tuple[float, np.
     hull's face at the point."""
     rows, count = columns.shape
     dear = np.full(rows, DEAR)
-    plan = min_time(columns, direction, np.ones(count), dear, dear)
-    if np.max(np.abs(plan.miss)) > 1e-6:
+    plan = min_time(columns, direction, np.ones(count), dear)
+    if np.max(np.abs(direction - columns @ plan.weights)) > 1e-6:
         return 0.0, plan.price
     return 1 / plan.cost, plan.price
 

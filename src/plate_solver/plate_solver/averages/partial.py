@@ -171,7 +171,7 @@ def reachable_fraction(library: Library, position: np.ndarray, force: np.ndarray
     if not np.any(right_side):
         return float("inf")
     dear = np.full(len(rows), OUT_OF_REACH)
-    return 1 / min_time(rows, right_side, np.ones(rows.shape[1]), dear, dear).cost
+    return 1 / min_time(rows, right_side, np.ones(rows.shape[1]), dear).cost
 
 
 def _along(requested: np.ndarray, missed: np.ndarray) -> float:

@@ -1,14 +1,12 @@
 """A linear programme that selects a few rotations from a large library and computes their fractions
 of the time.
 
-    minimise    cost . abs(w) + over . s + under . r
-    subject to  A w + s - r = b,    s, r >= 0
+    minimise    cost . abs(w) + miss_cost . abs(A w - b)
 
 The columns of A belong to rotations, and the rows to requested quantities b. w contains the weights
-of the rotations. A negative weight reverses the rotation. For each row, s is the amount by which A
-w falls short of b, and r is the amount by which A w exceeds b. `over` and `under` are the costs per
-unit of s and r. If all values of `cost` are 1, abs(w) is a time, and the solution is the plan of
-minimum time. The solution uses at most as many rotations as there are rows.
+of the rotations. A negative weight reverses the rotation. If all values of `cost` are 1, abs(w) is
+a time, and the solution is the plan of minimum time. The solution uses at most as many rotations as
+there are rows.
 
 The solver is a revised simplex method that stores the inverse of the basis. Because the signs of w
 are free, any basis is a feasible start. For example, the basis of the last cycle is used.
@@ -60,8 +58,7 @@ def min_time(
     matrix: np.ndarray,
     right_side: np.ndarray,
     cost: np.ndarray,
-    over: np.ndarray,
-    under: np.ndarray,
+    miss_cost: np.ndarray,
     start: np.ndarray | None = None,
     pivots: int = 2000,
 ) -> TimeFractions:
@@ -75,8 +72,8 @@ def min_time(
         Right-hand side b.
     cost : (K,)
         Cost of each column, above 0.
-    over, under : (R,)
-        Price per unit of the unmet and of the exceeded amount of each row, at least 0.
+    miss_cost : (R,)
+        Cost per unit of the difference between A w and b in each row, at least 0.
     start : (R,), optional
         Basis of the solution of an earlier problem of the same size.
     pivots : int
@@ -85,7 +82,7 @@ def min_time(
     rows, count = matrix.shape
     matrix = np.ascontiguousarray(matrix, dtype=float)
     right_side = np.array(right_side, dtype=float)
-    price = np.concatenate([cost, over, under]).astype(float)
+    price = np.concatenate([cost, miss_cost, miss_cost]).astype(float)
     # The fractional part of a multiple of the golden ratio gives each row a different shift.
     scale = max(float(np.max(np.abs(right_side), initial=0.0)), 1e-12)
     shift = PERTURBATION * scale * (1 + (np.arange(1, rows + 1) * 0.6180339887498949) % 1)
