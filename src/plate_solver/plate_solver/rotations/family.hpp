@@ -17,14 +17,14 @@ constexpr double MAX_RAMPS = 0.9;
 
 // A family of sequences of J rotations. `Sequences` in family.py describes the fields.
 struct Sequences {
-    int count;
+    int rotations;
     double scale[3];
     double period, accel;
     Matrix loads;  // (m, 3)
     std::array<int, 2> steps;
     Limits limits;
 
-    int parameters() const { return 4 * count + 1; }
+    int parameters() const { return 4 * rotations + 1; }
 };
 
 using Parameters = std::vector<double>;
@@ -32,17 +32,17 @@ using Parameters = std::vector<double>;
 // Returns the relative durations (J + 1,) of the J rotations and of the rest at the end of the
 // period.
 inline std::vector<double> holds_of(const Parameters& theta, const Sequences& family) {
-    std::vector<double> holds(theta.begin(), theta.begin() + family.count + 1);
-    for (double& hold : holds) hold *= 1.0 / family.count;
+    std::vector<double> holds(theta.begin(), theta.begin() + family.rotations + 1);
+    for (double& hold : holds) hold *= 1.0 / family.rotations;
     return holds;
 }
 
 // Returns the plate's twists (J, 3) during the J rotations.
 inline Matrix twists_of(const Parameters& theta, const Sequences& family) {
-    Matrix twists(family.count, 3);
-    for (int j = 0; j < family.count; j++)
+    Matrix twists(family.rotations, 3);
+    for (int j = 0; j < family.rotations; j++)
         for (int c = 0; c < 3; c++)
-            twists[j][c] = theta[family.count + 1 + 3 * j + c] * family.scale[c];
+            twists[j][c] = theta[family.rotations + 1 + 3 * j + c] * family.scale[c];
     return twists;
 }
 
@@ -75,7 +75,7 @@ inline Run run_of(const Parameters& theta, const Sequences& family) {
 // SHORTEST. The twists are reduced until the motion is within the limits, in at most 8 attempts.
 // Returns the changed parameters with the knots and samples of their motion.
 inline Run runnable(Parameters theta, const Sequences& family) {
-    const int count = family.count;
+    const int count = family.rotations;
     for (int j = 0; j <= count; j++) theta[j] = std::max(theta[j], SHORTEST);
     double* speeds = theta.data() + count + 1;
     const auto slow_down = [&](double factor) {
@@ -109,7 +109,7 @@ inline void parameters_back(const Parameters& theta, const Sequences& family, co
                             const std::vector<int>& results, Matrix& jacobian) {
     const ByRotations found = timeline_back(holds_of(theta, family), ramps_of(theta, family),
                                             family.period, by);
-    const int count = family.count;
+    const int count = family.rotations;
     jacobian.resize(static_cast<int>(results.size()), family.parameters());
     for (int row = 0; row < jacobian.rows; row++) {
         const int r = results[row];

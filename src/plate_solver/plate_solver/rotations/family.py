@@ -48,7 +48,7 @@ class Sequences(NamedTuple):
 
     Attributes
     ----------
-    count : int
+    rotations : int
         Number of rotations J.
     scale : (3,)
         Twist of a rotation whose three speed parameters are 1 [m/s, m/s, rad/s].
@@ -65,7 +65,7 @@ class Sequences(NamedTuple):
         Limits of the rig. The stroke is infinite if it is not checked.
     """
 
-    count: int
+    rotations: int
     scale: np.ndarray
     period: float
     accel: float
@@ -149,7 +149,7 @@ class RotationFamily:
         rest at the end."""
         total = float(np.sum(fraction))
         holds = np.append(fraction / max(1.0, total), max(0.0, 1.0 - total))
-        holds /= 1 / self.plain.count
+        holds /= 1 / self.plain.rotations
         return self.admissible(np.concatenate([holds, self._speed_parameters]))
 
     def samples(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

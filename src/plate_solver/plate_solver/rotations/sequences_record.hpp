@@ -10,7 +10,7 @@ inline Sequences sequences_of(const nb::tuple& record) {
     check("loads", loads, {loads.shape(0), 3});
     const nb::tuple steps = nb::cast<nb::tuple>(field(record, 5));
     Sequences family{
-        .count = nb::cast<int>(field(record, 0)),
+        .rotations = nb::cast<int>(field(record, 0)),
         .period = nb::cast<double>(field(record, 2)),
         .accel = nb::cast<double>(field(record, 3)),
         .loads = matrix_of(loads),
@@ -18,7 +18,7 @@ inline Sequences sequences_of(const nb::tuple& record) {
         .limits = limits_of(nb::cast<nb::tuple>(field(record, 6))),
     };
     read("scale", field(record, 1), family.scale);
-    if (family.count < 1) throw nb::value_error("there are no rotations");
+    if (family.rotations < 1) throw nb::value_error("there are no rotations");
     if (family.steps[0] < 1 || family.steps[1] < 1)
         throw nb::value_error("a segment has at least one step");
     return family;
