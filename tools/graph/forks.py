@@ -54,6 +54,15 @@ PR_SET_PDEATHSIG, PR_SET_NAME, PR_SET_CHILD_SUBREAPER = 1, 15, 36
 _libc = ctypes.CDLL(None)
 
 
+def show_command(words: Iterable[str]) -> None:
+    """Set the command line of this process that `ps` shows. Linux keeps it in the process's memory,
+    with the length of the first command line. Longer command lines are cut."""
+    numbers = Path("/proc/self/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
+    begin, end = map(int, numbers[45:47])  # arg_start and arg_end of proc_pid_stat(5)
+    text = b"".join(word.encode() + b"\0" for word in words)[: end - begin - 1]
+    ctypes.memmove(begin, text.ljust(end - begin, b"\0"), end - begin)
+
+
 def end_with_parent() -> None:
     """Make the kernel send SIGTERM to this process when its parent ends for any reason."""
     _libc.prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
@@ -249,6 +258,7 @@ def _become(
         os.environ.update(environment)
         os.chdir(folder)
         sys.argv = words
+        show_command(words)
         runpy.run_path(words[0], run_name="__main__")
         code = 0
     except SystemExit as end:
