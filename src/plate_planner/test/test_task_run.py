@@ -250,3 +250,11 @@ def test_the_diagnostics_name_the_task_its_failure_and_refused_messages(loop):
         loop.tasks.end(why)
         finding = loop.diagnostics.finding(0.1)
         assert (finding.level, finding.message) == (level, run.task.text)
+
+
+def test_starts_of_cycles_are_only_missing_while_the_driver_is_ready():
+    inputs = Inputs.none_yet(0.0, 2.0, triggered=False).parts_received(9.0, 1)
+    for state, levels in ((DriverState.READY, [Level.STALE]), (DriverState.DISABLED, [Level.WARN])):
+        status = DriverStatus(state, text="text")
+        findings = inputs.driver_received(9.0, status).findings(10.0, lambda topic: 1)
+        assert [each.level for each in findings if each is not None] == levels

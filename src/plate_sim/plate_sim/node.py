@@ -32,6 +32,7 @@ from plate_core.motion import HOLD_CYCLES, IDLE_S, CycleUsage, Timeline
 from plate_core.ros import (
     DATA,
     IMAGE,
+    LATCHED,
     WARN_S,
     NodeOptions,
     SafeLifecycleNode,
@@ -48,7 +49,7 @@ from plate_core.ros import (
 )
 from plate_core.status import INPUT_TIMEOUT_S, Finding, Input, Level, used, worst
 from plate_core.tasks import load_scenario
-from plate_interfaces.msg import Part
+from plate_interfaces.msg import DriverStatus, Part
 from plate_interfaces.msg import Parts as PartsMsg
 from plate_interfaces.srv import MoveRobot, OpenHopper, PlacePart, RemovePart
 
@@ -71,6 +72,9 @@ wall]."""
 MIN_NS = 20_000_000
 """Minimum time between two images if the simulated device moves the plate [ns]. If the next image
 would be taken earlier, it is omitted."""
+
+PLAYING = (DriverStatus.READY, DriverStatus.CALIBRATING)
+"""States in which the driver sends motor tables."""
 
 GAP_NS = 1_000_000
 """Tolerance of times of the device's motion [ns]. The gap between two consecutive segments must not
@@ -255,13 +259,13 @@ class Tally:
 class SimulatorNode(SafeLifecycleNode[Options]):
     """Lifecycle node `simulator`. The node simulates parts on a moving plate and publishes images.
 
-    The node subscribes to motor_setpoints. If the device drives the plate, the node subscribes to
-    motor_motion and camera_trigger instead. The node publishes image_raw, camera_info,
-    cycle_started, diagnostics and ground_truth, and /clock if time is simulated. Use ground_truth,
-    the true parts, only to evaluate a run. The service ~/reset restarts the scenario with the seed
-    that was set since the last reset, or if none was set, with the last seed plus 1. The services
-    ~/place_part, ~/remove_part, hopper/open and ~/move_robot change the parts. After such a call,
-    or a change of a live parameter, the seed alone no longer reproduces the run.
+    The node subscribes to motor_setpoints and driver_status. If the device drives the plate, the
+    node subscribes to motor_motion and camera_trigger instead. The node publishes image_raw,
+    camera_info, cycle_started, diagnostics and ground_truth, and /clock if time is simulated. Use
+    ground_truth, the true parts, only to evaluate a run. The service ~/reset restarts the scenario
+    with the seed that was set since the last reset, or if none was set, with the last seed plus 1.
+    The services ~/place_part, ~/remove_part, hopper/open and ~/move_robot change the parts. After
+    such a call, or a change of a live parameter, the seed alone no longer reproduces the run.
     """
 
     def __init__(self) -> None:
@@ -313,6 +317,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         options = self.options
         self._timeline = Timeline.at_rest(options.idle_period)
         self._tally = Tally()
+        self._driver: DriverStatus | None = None  # last status, if the driver moves the plate
         what, topic = "motor table", "motor_setpoints"
         advice = "check that the driver is active and the computer is fast enough"
         if self._driven:
@@ -396,6 +401,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
             if self._by_line:
                 self.managed_subscription(Header, "camera_trigger", self._on_pulse, DATA)
         else:
+            self.managed_subscription(DriverStatus, "driver_status", self._on_driver, LATCHED)
             self.managed_subscription(JointTrajectory, "motor_setpoints", self._on_table, DATA)
         self.managed_service(Trigger, "~/reset", self._on_reset)
         self.managed_service(PlacePart, "~/place_part", self._on_place)
@@ -712,14 +718,18 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         if self.options.lockstep:
             self._repeat.reset()
 
+    def _on_driver(self, msg: DriverStatus) -> None:
+        self._driver = msg
+
     def _find(self, now: float) -> Finding:
         """Return the most severe problem of the received tables, the plate and the parts (see
         `plate_core.status`)."""
         tally, dropped = self._tally, self._simulation.dropped
-        findings = [
-            used("tables", tally.tables, tally.refused, tally.why),
-            self._input.timed_out(now),
-        ]
+        findings = [used("tables", tally.tables, tally.refused, tally.why)]
+        silent, fine = self._input.timed_out(now), "all parts on the plate, all cycles on time"
+        if silent and self._driver is not None and self._driver.state not in PLAYING:
+            silent, fine = None, f"the plate rests, driver: {self._driver.text}"
+        findings.append(silent)
         troubles = [f"parts dropped: {dropped}"] if dropped else []
         if tally.late:
             troubles.append(f"late cycles: {tally.late}")
@@ -727,7 +737,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         if overtravel > 0:
             troubles.append(f"a motor exceeds its stroke by {1e3 * overtravel:.2g} mm")
         findings += [Finding(Level.WARN, trouble) for trouble in troubles]
-        return worst(findings, "all parts on the plate, all cycles on time")
+        return worst(findings, fine)
 
     def _values(self) -> Mapping[str, object]:
         limits, used = self._rig.limits, self._usage

@@ -27,6 +27,7 @@ from trajectory_msgs.msg import JointTrajectory
 from plate_core.ros import (
     CAMERA,
     DATA,
+    LATCHED,
     image_to_array,
     motors_to_msg,
     msg_to_cycle,
@@ -35,6 +36,7 @@ from plate_core.ros import (
     start_nodes,
     to_time,
 )
+from plate_interfaces.msg import DriverStatus
 from plate_interfaces.msg import Parts as PartsMsg
 from plate_interfaces.srv import MoveRobot, OpenHopper, PlacePart, RemovePart
 from plate_sim.node import START_NS, SimulatorNode
@@ -406,6 +408,12 @@ def test_diagnostics_report_timeouts_and_refusals():
         loop.answer = spoilt
         wait_for(loop, DiagnosticStatus.ERROR, "tables refused: ")
         loop.answer = None
+        wait_for(loop, DiagnosticStatus.STALE, "no motor table for ")
+        # A driver that is not ready sends no tables, so they are not missing.
+        driver = loop.ear.create_publisher(DriverStatus, "driver_status", LATCHED)
+        driver.publish(DriverStatus(state=DriverStatus.STOPPED, text="stopped: power cut"))
+        wait_for(loop, DiagnosticStatus.OK, "the plate rests, driver: stopped: power cut")
+        driver.publish(DriverStatus(state=DriverStatus.READY))
         wait_for(loop, DiagnosticStatus.STALE, "no motor table for ")
 
 

@@ -328,7 +328,9 @@ class Inputs:
         driver = self.driver.timed_out(now)
         if driver is None and self.driver_problem(now):
             driver = Finding(Level.WARN, self.driver_problem(now))
-        starts = None if self.starts is None else self.starts.timed_out(now)
+        starts = None
+        if self.starts is not None and driver is None:  # only a ready driver starts cycles
+            starts = self.starts.timed_out(now)
         return [parts, driver, starts]
 
     def stood_still(self, now: float, period: float) -> Failure | None:
