@@ -70,6 +70,30 @@ def test_cycle_there_and_back():
     np.testing.assert_array_equal(back.knot_accel, cycle().knot_accel)
 
 
+def test_data_of_another_frame_or_type_are_refused():
+    """Such as a vision node of one's own that publishes parts in the frame of its camera."""
+    request = convert.request_to_msg(some_request(), STAMP)
+    parts = convert.parts_to_msg(some_request().parts, STAMP)
+    read = (
+        (parts, convert.msg_to_parts),
+        (request, convert.msg_to_request),
+        (convert.cycle_to_msg(cycle(), STAMP), convert.msg_to_cycle),
+    )
+    for msg, to_core in read:
+        for frame in ("", "plate_home", "left/plate_home"):
+            msg.header.frame_id = frame
+            to_core(msg)
+        for frame in ("camera_optical_frame", "plate", "plate_home/plate"):
+            msg.header.frame_id = frame
+            with pytest.raises(PlateError, match=f": frame is '{frame}', allowed: plate_home"):
+                to_core(msg)
+    parts.header.frame_id, parts.parts[1].type = "", ""
+    assert convert.msg_to_parts(parts).ids == some_request().parts.ids
+    parts.parts[1].type = "nut"
+    with pytest.raises(PlateError, match="type of white_1 is 'nut', allowed: 'white'"):
+        convert.msg_to_parts(parts)
+
+
 def test_motors_there_and_back():
     msg = over_the_wire(convert.motors_to_msg(RIG, cycle(), STAMP))
     assert msg.joint_names == ["motor_1", "motor_2", "motor_3", "motor_4"]

@@ -388,7 +388,7 @@ def test_the_same_image_again_and_again_is_no_news(silenced):
     for _ in range(20):
         silenced.parts.publish(parts_to_msg(Parts.make(IDS, APART), to_time(200_000_000)))
         silenced.executor.spin_for(STEP_S)
-    assert ": no parts for " in silenced.states[-1]
+    assert ": no new parts for " in silenced.states[-1]
 
 
 @pytest.mark.parametrize("lasts", [True, False])

@@ -205,6 +205,17 @@ def test_the_first_node_that_lacks_input_is_blamed(loop, stale, silent, blamed):
     assert inputs.problem(now, now - just, T, lambda topic: 1) is None
 
 
+def test_parts_with_the_same_stamp_are_named(loop):
+    """A camera whose driver writes no stamps: parts arrive, but never with a new stamp."""
+    inputs = loop.monitor.inputs.parts_received(0.0, 0).parts_received(0.1, 0)
+    text = inputs.parts_problem(20.0, lambda topic: 1)
+    assert text.startswith("no new parts for 20.0 s: the messages have the same stamp, 0.000 s")
+    assert "no node publishes parts" in inputs.parts_problem(20.0, lambda topic: 0)
+    inputs = inputs.parts_received(20.0, 1)
+    assert inputs.parts_problem(20.1, lambda topic: 1) == ""
+    assert "same stamp" not in inputs.parts_problem(40.0, lambda topic: 1)
+
+
 @pytest.mark.parametrize(
     ("publishers", "reported_s", "text"),
     [

@@ -152,9 +152,17 @@ def msg_to_parts(msg: PartsMsg) -> Parts:
     Raises
     ------
     PlateError
-        If an id occurs twice, or a value is not finite or its magnitude exceeds `MAX_MAGNITUDE`.
+        If the frame is wrong, an id occurs twice, the type of a part differs from its id, or a
+        value is not finite or its magnitude exceeds `MAX_MAGNITUDE`.
     """
+    _check_frame("parts", msg.header)
     ids = tuple(part.id for part in msg.parts)
+    for part in msg.parts:
+        if part.type and part.type != part_class(part.id):
+            raise PlateError(
+                f"parts: type of {part.id[:50]} is {part.type[:50]!r}, allowed: "
+                f"{part_class(part.id)[:50]!r}, because an id is the type, _ and a number"
+            )
     rows = _checked("parts", ids, msg.parts, STATE)
     x, y, angle, vx, vy, spin = rows.T
     return Parts.make(ids, np.column_stack([x, y]), np.column_stack([vx, vy]), angle, spin)
@@ -222,10 +230,11 @@ def msg_to_request(msg: PartForces) -> CycleRequest:
     Raises
     ------
     PlateError
-        If there are more than `MAX_PARTS` parts, an id occurs twice, a value is not finite or its
-        magnitude exceeds `MAX_MAGNITUDE`, a lower bound exceeds its upper bound, or the period is
-        not positive. Bounds of intervals may be infinite.
+        If the frame is wrong, there are more than `MAX_PARTS` parts, an id occurs twice, a value is
+        not finite or its magnitude exceeds `MAX_MAGNITUDE`, a lower bound exceeds its upper bound,
+        or the period is not positive. Bounds of intervals may be infinite.
     """
+    _check_frame("part_forces", msg.header)
     if msg.plate_known and not np.all(np.abs(msg.plate) <= MAX_MAGNITUDE):
         raise PlateError(
             f"part_forces: plate is {list(msg.plate)}, allowed: -{MAX_MAGNITUDE:g} to "
@@ -280,11 +289,10 @@ def msg_to_targets(msg: TargetsMsg) -> tuple[PartTarget, ...]:
     PlateError
         If there are more than `MAX_PARTS` targets, an id occurs twice, or the frame is wrong.
     """
-    frame, ids = msg.header.frame_id, [target.id for target in msg.targets]
+    _check_frame("targets", msg.header)
+    ids = [target.id for target in msg.targets]
     if len(ids) > MAX_PARTS:
         raise PlateError(f"targets: {len(ids)} targets, allowed: at most {MAX_PARTS}")
-    if frame and frame.rpartition("/")[2] != FRAME:
-        raise PlateError(f"targets: frame is {frame[:50]!r}, allowed: {FRAME}")
     if len(set(ids)) < len(ids):
         again = next(name for name in ids if ids.count(name) > 1)
         raise PlateError(f"targets: {again[:50]} occurs twice, allowed: each part at most once")
@@ -292,6 +300,13 @@ def msg_to_targets(msg: TargetsMsg) -> tuple[PartTarget, ...]:
         PartTarget(each.id, (each.x, each.y), None if math.isnan(each.angle) else each.angle)
         for each in msg.targets
     )
+
+
+def _check_frame(what: str, header: Header, error: type[PlateError] = PlateError) -> None:
+    """Refuse data of another frame than plate_home. The name can have a prefix, or be empty."""
+    frame = header.frame_id
+    if frame and frame.rpartition("/")[2] != FRAME:
+        raise error(f"{what}: frame is {frame[:50]!r}, allowed: {FRAME}")
 
 
 def _targets(ids: tuple[str, ...], msg: PartForces) -> Targets:
@@ -375,9 +390,10 @@ def msg_to_cycle(msg: JointTrajectory) -> PlateCycle:
     Raises
     ------
     CycleError
-        If joints, lengths or times are wrong, a value is not finite, or the motion ends neither in
-        its initial state nor at rest.
+        If frame, joints, lengths or times are wrong, a value is not finite, or the motion ends
+        neither in its initial state nor at rest.
     """
+    _check_frame("plate_cycle", msg.header, CycleError)
     return PlateCycle.from_knots(*msg_to_knots(msg, PLATE_JOINTS))
 
 

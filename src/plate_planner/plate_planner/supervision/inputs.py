@@ -74,6 +74,8 @@ class Inputs:
         Time at which the planner was last active.
     stamp : int or None
         Stamp of the last parts [ns].
+    repeated : bool
+        Whether the last message of the topic parts had the same stamp as the message before.
     unanswered : float or None
         Time of the first message part_forces for which no plate_cycle has arrived yet. None if no
         plate_cycle is missing.
@@ -99,6 +101,7 @@ class Inputs:
     driver: Input
     ran: float
     stamp: int | None = None
+    repeated: bool = False
     unanswered: float | None = None
     driver_status: DriverStatus | None = None
     error_since: float | None = None
@@ -130,8 +133,8 @@ class Inputs:
     def parts_received(self, now: float, stamp_ns: int) -> Inputs:
         """Record that a message of the topic parts has arrived."""
         if stamp_ns == self.stamp:
-            return self
-        return replace(self, parts=self.parts.received(now), stamp=stamp_ns)
+            return self if self.repeated else replace(self, repeated=True)
+        return replace(self, parts=self.parts.received(now), stamp=stamp_ns, repeated=False)
 
     def start_received(self, now: float) -> Inputs:
         """Record that the start of a cycle was reported."""
@@ -362,6 +365,11 @@ class Inputs:
         )
 
     def _no_parts(self, now: float, age: float, publishers: Callable[[str], int]) -> str:
+        if self.repeated and self.stamp is not None and publishers("parts"):
+            return (
+                f"no new parts for {age:.1f} s: the messages have the same stamp, "
+                f"{1e-9 * self.stamp:.3f} s, allowed: the time of each image"
+            )
         return f"no parts for {age:.1f} s; {self._blame_for_parts(now, publishers)}"
 
     def _blame_for_parts(self, now: float, publishers: Callable[[str], int]) -> str:
