@@ -21,15 +21,15 @@ from plate_bringup import GraphError
 from plate_client import PlateClient
 from plate_core import PlateError
 from plate_core.tasks import load_scenario
+from plate_driver import transports
 from plate_driver.safety.node import LATE
-from plate_driver.transports import serial
 
 SORT_4 = load_scenario("sort_4")
 
 
 def test_refusals_after_which_the_demo_calls_again_end_with_the_text_that_it_expects():
     assert LATE.endswith(CALL_AGAIN)
-    assert serial.CALL_AGAIN.endswith(CALL_AGAIN)
+    assert transports.CALL_AGAIN.endswith(CALL_AGAIN)
 
 
 def test_random_goals_are_all_answered_and_the_plate_rests(tmp_path, monkeypatch):

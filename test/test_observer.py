@@ -14,7 +14,7 @@ from std_srvs.srv import SetBool  # noqa: E402
 
 from plate_bringup import GraphError  # noqa: E402
 from plate_core.ros import LATCHED  # noqa: E402
-from plate_driver.transports.serial import CALL_AGAIN  # noqa: E402
+from plate_driver.transports import CALL_AGAIN  # noqa: E402
 from plate_interfaces.msg import DriverStatus  # noqa: E402
 
 INACTIVE = DriverStatus(state=DriverStatus.INACTIVE)

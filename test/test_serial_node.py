@@ -37,7 +37,7 @@ from plate_core.ros import (  # noqa: E402
 )
 from plate_driver.safety.node import LATE, LIFE_PERIOD_S  # noqa: E402
 from plate_driver.status import AT_REST, CHECK_RIG, OFF, UNANSWERED  # noqa: E402
-from plate_driver.transports.serial import CALL_AGAIN, CONNECTING  # noqa: E402
+from plate_driver.transports import CALL_AGAIN, CONNECTING  # noqa: E402
 from plate_interfaces.msg import DriverStatus  # noqa: E402
 
 RIG = load_rig()

@@ -5,7 +5,7 @@ implementations `sim` and `serial`. Another package can add a transport, which i
 
 from .line import upload_s
 from .link import LATE_IN_MOTION, Link
-from .serial import LEAD_S, Port, SerialTransport, make_serial, open_port
+from .serial import CALL_AGAIN, CONNECTING, LEAD_S, Port, SerialTransport, make_serial, open_port
 from .sim import SimTransport, make_sim
 from .thread import ANSWER_S, BUSY, BUSY_S, Latch, TransportThread, urgent
 from .transport import (
@@ -24,6 +24,8 @@ __all__ = [
     "ANSWER_S",
     "BUSY",
     "BUSY_S",
+    "CALL_AGAIN",
+    "CONNECTING",
     "LATE_IN_MOTION",
     "LEAD_S",
     "Condition",
