@@ -69,6 +69,19 @@ def test_one_example_is_enough_and_grey_levels_will_do(draw_types):
     assert apart(part, TYPES["bracket"], 1000.0)[0] < 0.3
 
 
+@pytest.mark.parametrize("rows", [(0.04, -0.04, 0.0), (-0.04, 0.0, 0.04), (0.0, 0.04, -0.04)])
+def test_an_angle_of_0_is_how_the_leftmost_part_of_the_first_example_lies(draw_types, rows):
+    rng = np.random.default_rng(4)
+    poses = [
+        ("screw", x, y, a) for x, y, a in zip((0.07, -0.07, 0), rows, (2, 0.7, -1), strict=True)
+    ]
+    first = draw_types(TYPES, poses, rng, size_px=SIZE_PX)
+    again = draw_types(TYPES, [("screw", 0.01, 0, 1.2)], rng, size_px=SIZE_PX)
+    types = teach({"screw": [Example(first)]}, HOME)
+    (found,) = find_parts(again, types)
+    assert np.degrees(found["angle_rad"]) == pytest.approx(np.degrees(0.5), abs=1.5)
+
+
 def test_an_angle_of_0_is_how_the_first_example_lies(draw_types):
     rng = np.random.default_rng(4)
     first = draw_types(TYPES, [("screw", 0, 0, 0.7)], rng, size_px=SIZE_PX)

@@ -362,13 +362,14 @@ def _measured(
     background: Background | None,
     region: Region | None,
 ) -> list[_Shown]:
-    """Return the parts of an example with their outlines, colours and blurs."""
+    """Return the parts of an example with their outlines, colours and blurs, from left to right.
+    Otherwise the user cannot know which part defines the angle 0."""
     bare = model_background(example.image) if background is None else background
     patches = find_patches(example.image, bare, region)
     if example.box_px is not None:
         patches = [patch for patch in patches if _is_in(patch, example.box_px)]
         patches = sorted(patches, key=lambda patch: -patch.area_px2)[:1]
-    kept = [patch for patch in patches if patch.whole]
+    kept = sorted((patch for patch in patches if patch.whole), key=lambda patch: patch.corner)
     if not kept:
         seen = "no part is visible" if not patches else "no part is completely visible"
         raise TeachError(
