@@ -42,6 +42,9 @@ MAX_FILES, MAX_BYTES = 10_000, 10_000_000_000
 """Maximum number of the files of a module, and maximum sum of their sizes [bytes]. A sparse file of
 any size would otherwise be read for hours."""
 
+MAX_NAMED = 100_000
+"""Maximum number of paths that the texts of a Python file can form. All these paths are tried."""
+
 MAX_SOURCE_BYTES = 1_000_000
 """Maximum size of a Python file of a module [bytes]. Parsing needs some hundred times this
 memory."""
@@ -149,7 +152,8 @@ def files_of(module: str) -> dict[str, str]:
     ------
     PlateError
         If there are more than `MAX_FILES` files, or they are larger than `MAX_BYTES` together, or a
-        Python file is larger than `MAX_SOURCE_BYTES`.
+        Python file is larger than `MAX_SOURCE_BYTES` or names too many paths, or folders are nested
+        too deeply.
     """
     files = sorted(_files(module).items())
     size = sum(path.stat().st_size for _, path in files)
@@ -201,7 +205,13 @@ def _files(module: str) -> dict[str, Path]:
         # other libraries.
         near = set() if first.parent.name.endswith("-packages") else imported
         places = [first.parent, *(first.parent / text for text in texts)]
-        named = {folder / text for folder in places if os.path.isdir(folder) for text in texts}
+        folders = [place for place in places if os.path.isdir(place)]
+        if len(folders) * len(texts) > MAX_NAMED:
+            raise PlateError(
+                f"{path}: has {len(texts)} texts, and {len(folders) - 1} of them are names of "
+                f"folders, allowed: a product of both up to {MAX_NAMED}"
+            )
+        named = {folder / text for folder in folders for text in texts}
         named |= {first.parent / f"{name}.py" for name in near}
         # For a name that is too long, `os.path.isfile` returns False instead of raising an error.
         waiting |= {path for path in named if os.path.isfile(path)}
@@ -220,14 +230,18 @@ def _folders(spec: ModuleSpec | None) -> list[Path]:
 
 def _all_files(folder: Path) -> set[Path]:
     """Return the files in the folder of a package, except hidden files and bytecode."""
-    return {
-        path
-        for path in folder.rglob("*")
-        if path.is_file()
-        and not any(
-            part.startswith(".") or part == "__pycache__" for part in path.relative_to(folder).parts
-        )
-    }
+    try:
+        return {
+            path
+            for path in folder.rglob("*")
+            if path.is_file()
+            and not any(
+                part.startswith(".") or part == "__pycache__"
+                for part in path.relative_to(folder).parts
+            )
+        }
+    except RecursionError:
+        raise PlateError(f"{folder}: its folders are nested too deeply") from None
 
 
 def _named_in(path: Path) -> tuple[set[str], set[str]]:

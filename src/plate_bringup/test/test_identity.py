@@ -1,6 +1,7 @@
 """Identity of code: which files belong to a module of others, and which libraries it uses."""
 
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -87,6 +88,22 @@ def test_sparse_files_of_any_size_are_refused_before_they_are_read(folder, name,
         file.truncate(size)
     with pytest.raises(PlateError, match=words):
         files_of("other_agent")
+
+
+def test_many_names_and_deep_folders_are_refused(folder, monkeypatch):
+    texts = [f"d{k}" for k in range(400)]
+    (folder / "wide.py").write_text(f"x = {texts}", encoding="utf-8")
+    for name in texts:
+        (folder / name).mkdir()
+    with pytest.raises(PlateError, match=r"wide\.py: has 400 texts, and 400 of them are names of"):
+        files_of("wide")
+
+    def too_deep(*args):
+        raise RecursionError
+
+    monkeypatch.setattr(Path, "rglob", too_deep)
+    with pytest.raises(PlateError, match="sub: its folders are nested too deeply"):
+        files_of("sub")
 
 
 def test_a_module_that_is_no_python_is_one_file(folder):

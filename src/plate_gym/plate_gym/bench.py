@@ -32,7 +32,7 @@ from .env import drawn
 from .episode import agent_class, episode, isolated, named
 from .isolation import LIMITS, Limits
 from .provenance import commit, files, module_of, sources, terms, versions
-from .result import ROW, TIMES, line, ranges, read, shortened, summary, validate
+from .result import ROW, TIMES, line, printable, ranges, read, shortened, summary, validate
 from .tasks import TASKS, WORLDS, chosen
 
 __all__ = ["Limits", "check", "evaluate", "seed_range"]
@@ -439,13 +439,23 @@ def main() -> int:
     except BrokenPipeError:
         raise
     except (PlateError, OSError) as error:
-        print(f"error: {error}", file=sys.stderr)
+        # names of files can also come from another person
+        print(f"error: {printable(str(error))}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         kept = f"; {args.json} has the episodes so far" if args.json else ""
         print(f"stopped{kept}", file=sys.stderr)
         return 130
     return 0
+
+
+def interrupt_once(number: int, frame: Any) -> None:
+    """Raise a KeyboardInterrupt, and ignore further signals SIGINT and SIGTERM. A second signal
+    would interrupt the end of the workers. Then the program would wait for the limits of the
+    agent."""
+    for name in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(name, signal.SIG_IGN)
+    raise KeyboardInterrupt
 
 
 def seed_range(text: str) -> range:
@@ -468,5 +478,7 @@ if __name__ == "__main__":
     if not ALIKE.items() <= os.environ.items():
         os.execve(sys.executable, [sys.executable, *sys.orig_argv[1:]], os.environ | ALIKE)
     # SIGTERM has the same effect as Ctrl-C, so that the workers end.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    signal.signal(signal.SIGTERM, interrupt_once)
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, interrupt_once)
     sys.exit(main())

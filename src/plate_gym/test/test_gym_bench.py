@@ -328,6 +328,15 @@ def test_a_key_that_occurs_twice_is_refused(bench, tmp_path):
         bench.read(path)
 
 
+def test_names_of_files_cannot_control_the_terminal(bench, tmp_path, monkeypatch, capsys):
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "\x1b[2J.py").write_text("#" * 1_100_000)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["bench", "--agent", "other:Agent"])
+    assert bench.main() == 2
+    assert "/other/?[2J.py: has 1.1 MB, allowed: " in capsys.readouterr().err
+
+
 def test_long_lists_of_a_result_are_shortened(bench, result, monkeypatch):
     row = result["tasks"]["Sort4-v1"]["rows"][0]
     monkeypatch.setattr(bench, "episode", lambda agent, world, task, seed: row | {"seed": seed})
@@ -610,7 +619,9 @@ def hang():
         while not (tmp_path / "hangs").exists():
             assert process.poll() is None, process.communicate()
             time.sleep(0.1)
-        process.send_signal(signal.SIGINT)
+        for _ in range(10):  # further interrupts do not disturb the end
+            process.send_signal(signal.SIGINT)
+            time.sleep(0.02)
         output, errors = process.communicate(timeout=60)
     assert (process.returncode, output) == (130, "")
     assert errors == "agent: madethe same again\nstopped\n"
