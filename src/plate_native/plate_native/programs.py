@@ -35,7 +35,12 @@ if __name__ == "__main__":
             os._exit(code)
 
     atexit.register(leave)  # the function registered first is called last
-    from {module} import {function}
+    try:
+        from {module} import {function}
+    except ModuleNotFoundError as error:
+        if error.name not in ("{package}", "rclpy"):
+            raise
+        sys.exit(f"error: {{error}}; first source env.sh, or the setup file of your workspace")
 
     try:
         {function}()
@@ -63,7 +68,8 @@ def node_programs(*names: str) -> type[install_scripts]:
             for name, _, place in (point.partition(" = ") for point in points):
                 if name == script_name and name in names:
                     module, _, function = place.partition(":")
-                    program = PROGRAM.format(module=module, function=function)
+                    package = module.partition(".")[0]
+                    program = PROGRAM.format(module=module, function=function, package=package)
                     line = contents.partition("\n")[0]
                     contents = f"{first_line(line)}\n{program}"
             super().write_script(script_name, contents, mode, *ignored)

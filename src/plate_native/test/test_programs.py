@@ -85,6 +85,17 @@ def test_it_ends_at_once_with_its_exit_code(program, word, code, errors):
     assert (node.returncode, *said) == (code, "loading\nruns\ntidied up\n", errors)
 
 
+def test_in_a_shell_that_does_not_know_the_packages_it_names_the_remedy(program, tmp_path):
+    environment = {"PATH": os.environ["PATH"], "PYTHONSAFEPATH": "1"}
+    done = subprocess.run([tmp_path / "node"], env=environment, capture_output=True, text=True)
+    assert done.returncode == 1
+    assert done.stderr.startswith("error: No module named 'some'; first source env.sh, or ")
+    assert done.stderr.count("\n") == 1
+    (tmp_path / "some/__init__.py").write_text("import no_such_library")
+    with program("node") as node:
+        assert "Traceback" in node.communicate(timeout=60)[1]
+
+
 def test_a_defect_is_shown(program):
     with program("node", "1 / 0") as node:
         _, errors = node.communicate(timeout=60)
