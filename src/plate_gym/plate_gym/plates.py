@@ -168,7 +168,8 @@ class Plate:
         parts, state = self.simulation.visible_parts(), self.simulation.state
         if parts is None:
             return None
-        there = parts.seen & state.on_plate
+        # Usually both are the same array. Then the product need not be computed.
+        there = parts.seen if parts.seen is state.on_plate else parts.seen & state.on_plate
         if not self._shared.evaluator.feeds:
             return parts.position, parts.angle, there
         rows = np.array([state.ids.index(name) if name else -1 for name in self.ids])
@@ -363,7 +364,9 @@ class Plates:
             return
         visible = zip(*(parts for _, parts in captured), strict=True)
         position, angle, there = map(np.array, visible)
-        noise = np.array([p.noise.standard_normal((len(p.seen), 3)) for p, _ in captured])
+        noise = np.empty((*angle.shape, 3))
+        for (plate, _), own in zip(captured, noise, strict=True):
+            plate.noise.standard_normal(out=own)
         time = np.array([plate.time for plate, _ in captured])[:, None, None]
         before = np.array([plate.seen for plate, _ in captured])
         now = np.empty_like(before)

@@ -40,9 +40,10 @@ class WorldState:
     spin: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
-        for name in ("angle", "spin"):
-            if not len(getattr(self, name)):
-                object.__setattr__(self, name, np.zeros(len(self.ids)))
+        if not len(self.angle):
+            object.__setattr__(self, "angle", np.zeros(len(self.ids)))
+        if not len(self.spin):
+            object.__setattr__(self, "spin", np.zeros(len(self.ids)))
 
     @classmethod
     def at_rest(cls, ids: tuple[str, ...], position: np.ndarray) -> WorldState:
