@@ -205,6 +205,21 @@ def test_results_do_not_depend_on_the_order_of_parts(seed):
     assert np.array_equal(other.velocity, end.velocity[order])
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_fast_discs_meet_and_fall_at_the_same_step_with_and_without_a_record(seed):
+    # A record of each step makes the kernel check contacts and edges in each step. Without a
+    # record, it does not check steps in which no disc can meet another disc or an edge.
+    rng = np.random.default_rng(seed)
+    cycle, state = shaken(rng), crowd(20, rng)
+    state = replace(state, velocity=rng.uniform(-2, 2, (20, 2)), spin=rng.uniform(-5, 5, 20))
+    end = run_cycle(state, cycle, RIG)
+    recorded, path = record_cycle(state, cycle, RIG)
+    assert end.dropped > 0
+    assert deepest_overlap(path.position) > -1e-4  # some discs meet
+    for name in ("position", "velocity", "angle", "spin", "on_plate"):
+        assert np.array_equal(getattr(end, name), getattr(recorded, name))
+
+
 @pytest.mark.parametrize("sign", [[-1, 1], [1, -1], [-1, -1]])
 def test_mirrored_scenes_stay_mirrored(sign):
     rng = np.random.default_rng(3)

@@ -17,14 +17,17 @@ namespace plate::gliding {
 // roots and sums of a single group.
 constexpr int BLOCK = 16;
 
-// Quantities of a group at the start (prefix a) and in the middle (prefix b) of a step:
-// - ax, ay, ac: slip of the centre and relative spin
-// - a2: squared speed of the slip of the centre
-// - ak2: squared ratio of the slip at the edge due to rotation to the slip speed of the centre
+// Quantities of a group in the middle of a step:
+// - x, y, turn: slip of the centre and relative spin
+// - slip2: squared speed of the slip of the centre
+// - edge2: the same as in `Group`
+// - share: `Group::dv` divided by the slip of the centre
 // `force` and `torque` are the friction from `disc::series` in the present stage.
+//
+// Roots and quotients take long. Therefore they are computed as soon as the slip is known, and
+// before the series, which does not need them.
 struct Stages {
-    double ax[LANES], ay[LANES], ac[LANES], a2[LANES], ak2[LANES];
-    double bx[LANES], by[LANES], bc[LANES], b2[LANES], bk2[LANES];
+    double x[LANES], y[LANES], turn[LANES], slip2[LANES], edge2[LANES], share[LANES];
     double force[LANES], torque[LANES];
 };
 
@@ -35,7 +38,7 @@ namespace plate {
 // Set the constants of part i in its group. Return whether `glide` can advance the part. `step` is
 // the length of a time step [s], and `here` states whether the part is on the plate.
 inline bool describe(const State& state, int i, const Body& body, double step, bool here) {
-    constexpr double none = std::numeric_limits<double>::infinity();
+    constexpr double none = std::numeric_limits<double>::quiet_NaN();
     const double dv = body.mu_g * step, minimum = stepping::DISC_STIFF / stepping::GENTLE * dv;
     const bool glides = here && body.radius > 0 && body.even();
     Group& group = state.group(i);
@@ -43,11 +46,32 @@ inline bool describe(const State& state, int i, const Body& body, double step, b
     group.dv[lane] = dv, group.minimum[lane] = glides && dv > 0 ? minimum * minimum : none;
     group.radius2[lane] = body.radius * body.radius, group.gyration2[lane] = body.gyration2;
     group.ratio[lane] = group.radius2[lane] / body.gyration2;
-    group.away[lane] = here ? 0 : none;
+    group.away[lane] = here ? 0 : std::numeric_limits<double>::infinity();
     return glides;
 }
 
-// Advance all discs that slide steadily by one time step. Return the number of these discs.
+// Set the slip of part i of a group at the start of a step.
+[[gnu::always_inline]] inline void set_slip(Group& g, int i, const Slip& a) {
+    g.slip[0][i] = a.x, g.slip[1][i] = a.y, g.slip[2][i] = a.turn;
+    const double slip2 = a.x * a.x + a.y * a.y;
+    g.size2[i] = slip2 + g.gyration2[i] * a.turn * a.turn;
+    g.edge2[i] = g.radius2[i] * a.turn * a.turn / slip2;
+    g.share[i] = 0.5 * g.dv[i] / std::sqrt(slip2);
+}
+
+// Prepare all groups for a sequence of calls of `glide`, the first of which begins at `plate`.
+[[gnu::always_inline]] inline void begin_glide(const PlateSample& plate, std::span<Group> groups) {
+    for (Group& g : groups) {
+#pragma omp simd
+        for (int i = 0; i < LANES; i++)
+            set_slip(g, i, stepping::slip(plate, g.state[X][i], g.state[Y][i], g.state[VX][i],
+                                          g.state[VY][i], g.state[SPIN][i]));
+    }
+}
+
+// Advance all discs that slide steadily by one time step. Return the number of these discs. If all
+// discs slide steadily, the next step can follow at once, because the slip at the end of a step is
+// the slip at the start of the next step. Otherwise call `begin_glide` before the next step.
 //
 // `plate` contains samples of the plate's motion at the start, in the middle and at the end of the
 // step. `step` is the length of the step [s]. For other parts, intermediate values may be NaN or
@@ -63,22 +87,10 @@ inline bool describe(const State& state, int i, const Body& body, double step, b
     for (; !groups.empty(); groups = groups.subspan(std::min<size_t>(BLOCK, groups.size()))) {
         const int count = std::min<int>(BLOCK, groups.size());
         for (int k = 0; k < count; k++) {
-            const Group& g = groups[k];
             Stages& s = stages[k];
 #pragma omp simd
             for (int i = 0; i < LANES; i++) {
-                const Slip a = slip(plate[0], g.state[X][i], g.state[Y][i], g.state[VX][i],
-                                    g.state[VY][i], g.state[SPIN][i]);
-                s.ax[i] = a.x, s.ay[i] = a.y, s.ac[i] = a.turn;
-                s.a2[i] = a.x * a.x + a.y * a.y;
-                s.ak2[i] = g.radius2[i] * a.turn * a.turn / s.a2[i];
-            }
-        }
-        for (int k = 0; k < count; k++) {
-            Stages& s = stages[k];
-#pragma omp simd
-            for (int i = 0; i < LANES; i++) {
-                const disc::Push push = disc::series(s.ak2[i]);
+                const disc::Push push = disc::series(groups[k].edge2[i]);
                 s.force[i] = push.force, s.torque[i] = push.torque;
             }
         }
@@ -88,21 +100,21 @@ inline bool describe(const State& state, int i, const Body& body, double step, b
 #pragma omp simd
             for (int i = 0; i < LANES; i++) {
                 const double vx = g.state[VX][i], vy = g.state[VY][i];
-                const double share = 0.5 * g.dv[i] / std::sqrt(s.a2[i]);
                 const Slip free = slip(plate[1], g.state[X][i] + half * vx,
                                        g.state[Y][i] + half * vy, vx, vy, g.state[SPIN][i]);
-                s.bx[i] = free.x - 0.5 * fall_x - share * s.force[i] * s.ax[i];
-                s.by[i] = free.y - 0.5 * fall_y - share * s.force[i] * s.ay[i];
-                s.bc[i] = free.turn - share * s.torque[i] * g.ratio[i] * s.ac[i];
-                s.b2[i] = s.bx[i] * s.bx[i] + s.by[i] * s.by[i];
-                s.bk2[i] = g.radius2[i] * s.bc[i] * s.bc[i] / s.b2[i];
+                s.x[i] = free.x - 0.5 * fall_x - g.share[i] * s.force[i] * g.slip[0][i];
+                s.y[i] = free.y - 0.5 * fall_y - g.share[i] * s.force[i] * g.slip[1][i];
+                s.turn[i] = free.turn - g.share[i] * s.torque[i] * g.ratio[i] * g.slip[2][i];
+                s.slip2[i] = s.x[i] * s.x[i] + s.y[i] * s.y[i];
+                s.edge2[i] = g.radius2[i] * s.turn[i] * s.turn[i] / s.slip2[i];
+                s.share[i] = g.dv[i] / std::sqrt(s.slip2[i]);
             }
         }
         for (int k = 0; k < count; k++) {
             Stages& s = stages[k];
 #pragma omp simd
             for (int i = 0; i < LANES; i++) {
-                const disc::Push push = disc::series(s.bk2[i]);
+                const disc::Push push = disc::series(s.edge2[i]);
                 s.force[i] = push.force, s.torque[i] = push.torque;
             }
         }
@@ -117,22 +129,24 @@ inline bool describe(const State& state, int i, const Body& body, double step, b
                 const double x = g.state[X][i], y = g.state[Y][i], angle = g.state[ANGLE][i];
                 const double vx = g.state[VX][i], vy = g.state[VY][i], spin = g.state[SPIN][i];
                 const double g2 = g.gyration2[i];
-                const Slip a{s.ax[i], s.ay[i], s.ac[i]}, b{s.bx[i], s.by[i], s.bc[i]};
-                const double share = g.dv[i] / std::sqrt(s.b2[i]);
-                const double ux = vx + fall_x + share * s.force[i] * b.x;
-                const double uy = vy + fall_y + share * s.force[i] * b.y;
-                const double uc = spin + share * s.torque[i] * g.ratio[i] * b.turn;
+                const Slip a{g.slip[0][i], g.slip[1][i], g.slip[2][i]};
+                const Slip b{s.x[i], s.y[i], s.turn[i]};
+                const double ux = vx + fall_x + s.share[i] * s.force[i] * b.x;
+                const double uy = vy + fall_y + s.share[i] * s.force[i] * b.y;
+                const double uc = spin + s.share[i] * s.torque[i] * g.ratio[i] * b.turn;
                 const double px = x + half * (vx + ux), py = y + half * (vy + uy);
                 const Slip z = slip(plate[2], px, py, ux, uy, uc);
+                const double size2 = g.size2[i], edge2 = std::max(g.edge2[i], s.edge2[i]);
+                set_slip(g, i, z);
                 // Check that the disc slides fast enough, and nearly in one direction (see
-                // `alike`). `size2` is equal to `dot(a, a, g2)`.
-                const double size2 = s.a2[i] + g2 * a.turn * a.turn;
-                const double middle2 = s.b2[i] + g2 * b.turn * b.turn, end2 = dot(z, z, g2);
+                // `alike`). Like `size2`, the products `middle2` and `end2` are equal to `dot` of a
+                // slip with itself.
+                const double middle2 = s.slip2[i] + g2 * b.turn * b.turn, end2 = g.size2[i];
                 const double ab = dot(a, b, g2), az = dot(a, z, g2);
                 const double turn = std::min(ab * std::abs(ab) - STEADY * STEADY * size2 * middle2,
                                              az * std::abs(az) - STEADY * STEADY * size2 * end2);
                 const bool steady = (std::min(size2, middle2) >= g.minimum[i]) &
-                                    (std::max(s.ak2[i], s.bk2[i]) <= disc::SERIES) & (turn > 0);
+                                    (edge2 <= disc::SERIES) & (turn > 0);
                 g.moved[i] = steady ? 1.0 : 0.0;
                 all[i] += g.moved[i];
                 next[X][i] = steady ? px : x;

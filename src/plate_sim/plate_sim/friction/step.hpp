@@ -13,11 +13,13 @@
 // together. `advance` advances the other parts one by one.
 #pragma once
 #include <plate/view.hpp>
+#include <plate/wide.hpp>
 
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
 #include <limits>
+#include <optional>
 #include <span>
 
 #include "friction/disc.hpp"
@@ -49,12 +51,17 @@ static_assert(sizeof(Body) == 10 * sizeof(double));
 struct Group {
     double state[6][LANES];
     // `dv` is mu g times the step [m/s]. `minimum` is the minimum squared slip for `glide` [m2/s2].
-    // For parts that are not discs, `minimum` is infinite. `radius2` and `gyration2` are the squared
-    // radius and the squared radius of gyration [m2]. `ratio` is radius2 / gyration2.
+    // For parts that are not discs on the plate, `minimum` is NaN, so that every comparison with it
+    // is false. `radius2` and `gyration2` are the squared radius and the squared radius of gyration
+    // [m2]. `ratio` is radius2 / gyration2.
     double dv[LANES], minimum[LANES], radius2[LANES], gyration2[LANES], ratio[LANES];
     double moved[LANES];    // 1 if `glide` has advanced the part in this step, else 0
     double away[LANES];     // 0 if the part is on the plate, else infinite
     double mark[2][LANES];  // positions at an earlier time [m]
+    // Slip at the start of the step, set by `set_slip` (glide.hpp). `size2` is the product `dot` of
+    // the slip with itself. `edge2` is the squared ratio of the slip at the edge due to rotation to
+    // the slip of the centre. `share` is half of `dv`, divided by the slip of the centre.
+    double slip[3][LANES], size2[LANES], edge2[LANES], share[LANES];
 };
 
 // States of all parts, in groups. The last entry represents the walls.
@@ -183,13 +190,15 @@ struct Middle {
 
 // Apply the midpoint rule. `slip` is the slip at the start of the step, when the part's angle is
 // `angle` [rad]. `free` is the slip in the middle of the step without friction, when the part's
-// angle is `angle + turn`.
+// angle is `angle + turn`. `before` is the friction at the start, which is computed if it is not
+// yet known.
 inline Middle midpoint(const Slip& slip, const Slip& free, double angle, double turn, double dv,
-                       const Body& body, const Mesh& mesh) {
-    patch::Friction now = friction(slip, angle, body, mesh);
-    if (dv * now.stiff <= GENTLE) {
-        const Slip half = free - 0.5 * dv * now.push;
-        now = friction(half, angle + turn, body, mesh);
+                       const Body& body, const Mesh& mesh,
+                       std::optional<patch::Friction>& before) {
+    if (!before) before = friction(slip, angle, body, mesh);
+    if (dv * before->stiff <= GENTLE) {
+        const Slip half = free - 0.5 * dv * before->push;
+        const patch::Friction now = friction(half, angle + turn, body, mesh);
         if (dv * now.stiff <= GENTLE) return {half, dv * now.push};
     }
     const Slip half = slip_after(free, angle + turn, 0.5 * dv, body, mesh);
@@ -233,10 +242,11 @@ inline Attempt ride(const PlateSample* plate, Vec fall, double static_dv, const 
 // Try one step of h [s].
 //
 // If `last` is true, the step is always accepted, and the implicit Euler method is used if
-// necessary. A slip of up to `none` [m/s] counts as 0.
+// necessary. A slip of up to `none` [m/s] counts as 0. `before` keeps the friction at the start for
+// shorter steps with the same start.
 inline Attempt attempt(const PlateSample* plate, double h, bool last, double none,
                        const GroundEffect& ground, const Motion& m, const Body& body,
-                       const Mesh& mesh) {
+                       const Mesh& mesh, std::optional<patch::Friction>& before) {
     const double weight = ground.weight((plate[2].vx - plate[0].vx) / h), g2 = body.gyration2;
     const double slow = body.mu_g * h * weight, static_dv = ground.static_ratio * slow;
     const Vec fall{h * ground.gravity_x, h * ground.gravity_y};
@@ -257,7 +267,8 @@ inline Attempt attempt(const PlateSample* plate, double h, bool last, double non
         const double speed = std::sqrt(dot(middle, middle, g2));
         dv = slow * ground.share(std::max(0.0, speed - 0.5 * slow * ground.share(speed)));
     }
-    const auto [half, push] = midpoint(start, middle, m.angle, 0.5 * h * m.spin, dv, body, mesh);
+    const auto [half, push] =
+        midpoint(start, middle, m.angle, 0.5 * h * m.spin, dv, body, mesh, before);
     Motion after = moved(m, h, m.vx + fall.x + push.x, m.vy + fall.y + push.y, m.spin + push.turn);
     const Slip end = slip(plate[2], after.x, after.y, after.vx, after.vy, after.spin);
     bool loose = true;
@@ -290,25 +301,27 @@ inline int shorter(int size, double ahead) {
 // Split a step into substeps until each substep is accurate enough. Return the state at the end of
 // the step.
 //
-// `first` is the state of the plate at the start of the step. `ahead` is the field of the `attempt`
-// for the whole step.
+// `first` is the state of the plate at the start of the step. `ahead` and `before` are results of
+// the `attempt` for the whole step.
 inline Motion advance_in_parts(const Course& course, double start, double step, double none,
                                const PlateSample& first, double ahead, const GroundEffect& ground,
-                               Motion motion, const Body& body, const Mesh& mesh) {
+                               Motion motion, const Body& body, const Mesh& mesh,
+                               std::optional<patch::Friction> before) {
     constexpr int FINEST = 1 << HALVINGS;
     PlateSample plate[3] = {first};
-    int done = 0, size = shorter(FINEST, ahead);
+    int done = 0, size = shorter(FINEST, ahead), leg = course.leg_at(start, 0);
     bool to_end = ahead > 0;
     while (true) {
         const double t = start + done * step / FINEST, h = step * size / FINEST;
-        plate[1] = course.at(t + 0.5 * h);
-        plate[2] = course.at(t + h);
-        const Attempt made = attempt(plate, h, size == 1, none, ground, motion, body, mesh);
+        plate[1] = course.at(t + 0.5 * h, leg);
+        plate[2] = course.at(t + h, leg);
+        const Attempt made = attempt(plate, h, size == 1, none, ground, motion, body, mesh, before);
         if (!made.fine) {
             size = shorter(size, made.ahead), to_end = made.ahead > 0;
             continue;
         }
         motion = made.after;
+        before.reset();
         done += size;
         if (done == FINEST) return motion;
         // If a substep ends just before a reversal, the next substep has the minimum length and
@@ -342,9 +355,9 @@ namespace plate {
 // `start` is the time in the course at which the step begins [s], and `step` is the length of the
 // step [s]. `plate` contains samples of the plate's motion at the start, in the middle and at the
 // end of the step.
-inline void advance(const Course& course, double start, double step, const PlateSample* plate,
-                    const GroundEffect& ground, const State& state, int i, const Body& body,
-                    const Mesh& mesh) {
+PLATE_WIDE inline void advance(const Course& course, double start, double step,
+                               const PlateSample* plate, const GroundEffect& ground,
+                               const State& state, int i, const Body& body, const Mesh& mesh) {
     using namespace stepping;
     const Motion motion{state(X, i),  state(Y, i),  state(ANGLE, i),
                         state(VX, i), state(VY, i), state(SPIN, i)};
@@ -352,10 +365,11 @@ inline void advance(const Course& course, double start, double step, const Plate
     Attempt made{false, motion};
     if (body.radius > 0 && motion.spin == 0 && body.even() && ground.even())
         made = reverse(plate, step, ground, motion, body);
-    if (!made.fine) made = attempt(plate, step, false, none, ground, motion, body, mesh);
+    std::optional<patch::Friction> before;
+    if (!made.fine) made = attempt(plate, step, false, none, ground, motion, body, mesh, before);
     if (!made.fine)
         made.after = advance_in_parts(course, start, step, none, plate[0], made.ahead, ground,
-                                      motion, body, mesh);
+                                      motion, body, mesh, before);
     state(X, i) = made.after.x, state(Y, i) = made.after.y, state(ANGLE, i) = made.after.angle;
     state(VX, i) = made.after.vx, state(VY, i) = made.after.vy, state(SPIN, i) = made.after.spin;
 }

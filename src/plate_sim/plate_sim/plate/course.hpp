@@ -2,6 +2,7 @@
 // are evaluated together in one vector. The simulation of parts with a contact area uses this code.
 #pragma once
 #include <algorithm>
+#include <cmath>
 #include <vector>
 
 #include <plate/simd.hpp>
@@ -34,6 +35,7 @@ struct Leg {
 // A whole motion.
 struct Course {
     std::vector<Leg> legs;
+    double reach[3] = {};  // upper bounds of |x|, |y| [m] and |theta| [rad] during the motion
 
     // Constructs the motion from K + 1 knot times [s] and coefficients (K, 6, 3).
     Course(const double* times, const double* factors, int count) : legs(count) {
@@ -44,19 +46,30 @@ struct Course {
                     leg.pose[power][axis] = axis < 3 ? *factors++ : 0;
                     if (power > 0) leg.twist[power - 1][axis] = power * leg.pose[power][axis];
                 }
+            for (int axis = 0; axis < 3; axis++) {
+                double bound = 0;
+                for (int power = 5; power >= 0; power--)
+                    bound = bound * (leg.end - leg.start) + std::abs(leg.pose[power][axis]);
+                reach[axis] = std::max(reach[axis], bound);
+            }
         }
     }
 
     double period() const { return legs.back().end; }
 
-    // Pose and twist at time t [s]. For times outside the motion, the first or last piece is
-    // extrapolated.
-    PlateSample at(double t) const {
+    // Index of the leg that contains the time t [s]. For times outside the motion, it is the first
+    // or last leg. The search begins at the leg k.
+    int leg_at(double t, int k) const {
         const int last = static_cast<int>(legs.size()) - 1;
-        const double share = t / period() * (last + 1);
-        int k = share >= last ? last : share > 0 ? static_cast<int>(share) : 0;
         while (k > 0 && t < legs[k].start) k--;
         while (k < last && t >= legs[k].end) k++;
+        return k;
+    }
+
+    // Pose and twist at time t [s]. For times outside the motion, the first or last leg is
+    // extrapolated. `k` is the index of a leg near t, and is set to the leg at t.
+    PlateSample at(double t, int& k) const {
+        k = leg_at(t, k);
         return legs[k].at(t);
     }
 };

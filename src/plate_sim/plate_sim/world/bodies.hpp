@@ -45,16 +45,29 @@ struct Job {
 // and products.
 constexpr double ROUNDED = 1 + 1e-12;
 
+// Maximum number of time steps between two checks of the parts' positions.
+constexpr int UNCHECKED = 16;
+
+// Limits to the motion of parts that are advanced by `glide` only.
+struct Limits {
+    double gap;           // distance by which two parts may approach each other [m]
+    const double* half;   // half sides of the plate (2,) [m]
+    const double* reach;  // see `Course`
+    double kick;          // maximum change of a part's velocity along an axis in a step [m/s]
+};
+
 // Minimum and maximum of four values over all parts on the plate. The values are x and y of the
 // part, and its displacements along x and y from its mark [m]. The mark is the part's position when
 // the list of near pairs was made.
 struct Extent {
     double low[4], high[4];
+    double speed = 0;  // maximum velocity component of a part [m/s]
 
     [[gnu::always_inline]] explicit Extent(std::span<const Group> groups) {
         double lows[4][LANES], highs[4][LANES];
         std::fill_n(lows[0], 4 * LANES, contacts::INFINITE);
         std::fill_n(highs[0], 4 * LANES, -contacts::INFINITE);
+        double speeds[LANES] = {};
         for (const Group& g : groups) {
 #pragma omp simd
             for (int i = 0; i < LANES; i++) {
@@ -64,12 +77,15 @@ struct Extent {
                     lows[row][i] = std::min(lows[row][i], values[row] + g.away[i]);
                     highs[row][i] = std::max(highs[row][i], values[row] - g.away[i]);
                 }
+                speeds[i] = std::max(speeds[i], std::max(std::abs(g.state[VX][i]),
+                                                         std::abs(g.state[VY][i])));
             }
         }
         for (int row = 0; row < 4; row++) {
             low[row] = *std::min_element(lows[row], lows[row] + LANES);
             high[row] = *std::max_element(highs[row], highs[row] + LANES);
         }
+        speed = *std::max_element(speeds, speeds + LANES);
     }
 
     // Returns an upper bound of the distance [m] by which any two parts have approached each other
@@ -87,22 +103,44 @@ struct Extent {
         const double turn = std::abs(plate.theta);  // upper bound of the sine of theta
         return ROUNDED * (x + turn * y) <= half[0] && ROUNDED * (y + turn * x) <= half[1];
     }
+
+    // Returns a number of steps after which `approach` is still below the gap, and the parts are
+    // still `within` the plate. The estimate is one step too low, which covers rounding errors.
+    int safe_steps(const Limits& limits, double step) const {
+        const double move = step * (speed + UNCHECKED * limits.kick), turn = limits.reach[2];
+        const double x = std::max(-low[0], high[0]) + limits.reach[0];
+        const double y = std::max(-low[1], high[1]) + limits.reach[1];
+        // Each part moves by at most `move` along each axis in a step. Two parts approach each
+        // other by at most sqrt(8) times this distance.
+        const double apart = (limits.gap - approach()) / (std::sqrt(8.0) * move);
+        const double margin =
+            std::min(limits.half[0] - (x + turn * y), limits.half[1] - (y + turn * x));
+        const double steps = std::min(apart, margin / ((1 + turn) * move));
+        return steps > 1 ? static_cast<int>(std::min<double>(steps, UNCHECKED)) - 1 : 0;
+    }
 };
 
 // Computes up to `maximum` time steps with `glide`. The function stops for one of three reasons:
 // - `glide` cannot advance all `count` parts.
-// - Two parts may have approached each other by `gap` [m] or more.
+// - Two parts may have approached each other by the gap or more.
 // - A part is not clearly inside the edges of the plate.
+//
+// The last two conditions are not checked in steps in which the parts cannot fulfil them, because
+// the check takes a fifth of the time of a step.
 //
 // Returns the number of complete steps. If this number is below `maximum`, `glide` has already
 // advanced its parts in the next step.
 PLATE_WIDE inline int cruise(std::span<Group> groups, const PlateSample* plate, double step,
-                             const GroundEffect& ground, const double* half, double gap, int count,
+                             const GroundEffect& ground, const Limits& limits, int count,
                              int maximum) {
+    begin_glide(plate[0], groups);
+    int unchecked = 0;
     for (int made = 0; made < maximum; made++, plate += 2) {
         if (glide(plate, step, ground, groups) < count) return made;
+        if (unchecked-- > 0) continue;
         const Extent extent(groups);
-        if (extent.approach() >= gap || !extent.within(plate[2], half)) return made;
+        if (extent.approach() >= limits.gap || !extent.within(plate[2], limits.half)) return made;
+        unchecked = extent.safe_steps(limits, step);
     }
     return maximum;
 }
@@ -121,7 +159,8 @@ inline bool drop(const State& state, View<bool, 1> here, const PlateSample& plat
             here(i) = false;
             state(VX, i) = state(VY, i) = state(SPIN, i) = 0.0;
             Group& group = state.group(i);
-            group.away[State::lane(i)] = group.minimum[State::lane(i)] = contacts::INFINITE;
+            group.away[State::lane(i)] = contacts::INFINITE;
+            group.minimum[State::lane(i)] = std::numeric_limits<double>::quiet_NaN();
             any = true;
         }
     }
@@ -149,15 +188,18 @@ inline contacts::Overlap run(const Job& job, const Shapes& shapes, const contact
     const auto kept = std::make_unique<bool[]>(count);
     const View<bool, 1> here{kept.get(), {count}};
     bool together = false;
+    double kick = 0;
     for (int i = 0; i <= state.walls(); i++) {
         if (i < count) {
             for (int row = 0; row < 6; row++) state(row, i) = job.states(order[i], row);
             bodies[i] = shapes.bodies[order[i]], bodies[i].mu_g = job.limit[order[i]];
             here(i) = job.here(order[i]);
+            kick = std::max(kick, bodies[i].mu_g);
         }
         together |= describe(state, i, bodies[i], step, i < count && here(i));
     }
     together &= job.ground.even();
+    kick = step * (kick + std::max(std::abs(job.ground.gravity_x), std::abs(job.ground.gravity_y)));
     // `parts` contains the groups with parts. `groups` also contains the walls, which are not
     // parts.
     const std::span<Group> parts(groups.data(), (count + LANES - 1) / LANES);
@@ -190,9 +232,9 @@ inline contacts::Overlap run(const Job& job, const Shapes& shapes, const contact
         }
         if (together) {
             // If the plate has walls, contacts are checked in every step.
-            const double gap = rules.walls ? 0 : near.gap;
+            const Limits limits{rules.walls ? 0 : near.gap, half, course.reach, kick};
             const int cruised =
-                cruise(parts, &plate[2 * at], step, job.ground, half, gap, left, end - at);
+                cruise(parts, &plate[2 * at], step, job.ground, limits, left, end - at);
             made += cruised, at += cruised;
             if (at == end) continue;
         }
