@@ -26,11 +26,9 @@ static void cycle_maps(Draws& draws) {
         const int wide = (turning ? 3 : 2) * count;
         Matrix parts, past;
         const auto begin = [&] {
-            if (turning)
-                put_turning_side_by_side(places, speeds, given<1>(spin, {count}),
-                                         given<2>(spread, {count, 3}), given<1>(accel, {count}), parts);
-            else
-                put_side_by_side(places, speeds, given<1>(accel, {count}), stick_slip::ROWS, parts);
+            const int rows = turning ? end_turning_rows::ROWS : stick_slip::ROWS;
+            put_side_by_side(places, speeds, given<1>(accel, {count}), rows, parts);
+            if (turning) put_rotations(given<1>(spin, {count}), given<2>(spread, {count, 3}), parts);
         };
         begin();
         turning ? end_turning(parts, poses, twists, dt.data()) : end_state(parts, poses, twists, dt.data());

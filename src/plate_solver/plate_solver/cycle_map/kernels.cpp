@@ -27,16 +27,27 @@ static void check_motion(const Table& pose, const Table& twist, const Numbers& d
     check("pose", pose, {dt.size(), 3});
 }
 
-static void check_parts(const Table& position, const Table& velocity, const Numbers& friction) {
+// Checks the arrays of parts that are modelled as points. Returns the matrix of these parts.
+static Matrix points_of(const Table& position, const Table& velocity, const Numbers& friction_accel,
+                        int rows = stick_slip::ROWS) {
     const size_t count = position.shape(0);
     check("position", position, {count, 2});
     check("velocity", velocity, {count, 2});
-    if (friction.size() < count) throw nb::value_error("friction_accel is not given for all parts");
+    if (friction_accel.size() < count)
+        throw nb::value_error("friction_accel is not given for all parts");
+    Matrix parts;
+    put_side_by_side(view(position), view(velocity), view(friction_accel), rows, parts);
+    return parts;
 }
 
-static void check_spins(const Table& position, const Numbers& spin, const Table& spread) {
+// Does the same for parts that rotate.
+static Matrix bodies_of(const Table& position, const Table& velocity, const Numbers& spin,
+                        const Table& spread, const Numbers& friction_accel) {
+    Matrix parts = points_of(position, velocity, friction_accel, end_turning_rows::ROWS);
     check("spin", spin, {position.shape(0)});
     check("spread", spread, {position.shape(0), 3});
+    put_rotations(view(spin), view(spread), parts);
+    return parts;
 }
 
 // Returns the derivatives of `each` results with respect to pose, twist and step length dt. The
@@ -60,11 +71,8 @@ static nb::tuple gradient_of(size_t n, size_t each, Find find) {
 static void bind_stick_slip(nb::module_& m) {
     m.def("end_state", [](Table position, Table velocity, Table pose, Table twist, Numbers dt,
                           Numbers friction_accel) {
-        check_parts(position, velocity, friction_accel);
         check_motion(pose, twist, dt);
-        Matrix parts;
-        put_side_by_side(view(position), view(velocity), view(friction_accel), stick_slip::ROWS,
-                         parts);
+        Matrix parts = points_of(position, velocity, friction_accel);
         {
             nb::gil_scoped_release others_may_run;
             end_state(parts, samples(pose), samples(twist), dt.data());
@@ -75,11 +83,8 @@ static void bind_stick_slip(nb::module_& m) {
     });
     m.def("end_state_gradient", [](Table position, Table velocity, Table pose, Table twist,
                                    Numbers dt, Numbers friction_accel, double coast) {
-        check_parts(position, velocity, friction_accel);
         check_motion(pose, twist, dt);
-        Matrix parts;
-        put_side_by_side(view(position), view(velocity), view(friction_accel), stick_slip::ROWS,
-                         parts);
+        Matrix parts = points_of(position, velocity, friction_accel);
         const size_t count = position.shape(0);
         return gradient_of(dt.size(), 2 * count, [&](auto& past, auto... by) {
             end_state_gradient(parts, count, samples(pose), samples(twist), dt.data(), coast, past,
@@ -92,12 +97,8 @@ static void bind_turning(nb::module_& m) {
     m.def("end_turning", [](Table position, Table velocity, Numbers spin, Table spread, Table pose,
                             Table twist, Numbers dt, Numbers friction_accel) {
         using namespace end_turning_rows;
-        check_parts(position, velocity, friction_accel);
-        check_spins(position, spin, spread);
         check_motion(pose, twist, dt);
-        Matrix parts;
-        put_turning_side_by_side(view(position), view(velocity), view(spin), view(spread),
-                                 view(friction_accel), parts);
+        Matrix parts = bodies_of(position, velocity, spin, spread, friction_accel);
         {
             nb::gil_scoped_release others_may_run;
             end_turning(parts, samples(pose), samples(twist), dt.data());
@@ -109,12 +110,8 @@ static void bind_turning(nb::module_& m) {
     m.def("end_turning_gradient", [](Table position, Table velocity, Numbers spin, Table spread,
                                      Table pose, Table twist, Numbers dt, Numbers friction_accel,
                                      double coast) {
-        check_parts(position, velocity, friction_accel);
-        check_spins(position, spin, spread);
         check_motion(pose, twist, dt);
-        Matrix parts;
-        put_turning_side_by_side(view(position), view(velocity), view(spin), view(spread),
-                                 view(friction_accel), parts);
+        Matrix parts = bodies_of(position, velocity, spin, spread, friction_accel);
         const size_t count = position.shape(0);
         return gradient_of(dt.size(), 3 * count, [&](auto& past, auto... by) {
             end_turning_gradient(parts, count, samples(pose), samples(twist), dt.data(), coast,

@@ -139,15 +139,12 @@ constexpr int ARM_X = 9, ARM_Y = 10, BY_DT = 11, AFTER = 14, PAST = 17;
 
 }  // namespace end_turning_rows
 
-// Same as `put_side_by_side`, but also writes the spin (M,) and the second moments xx, xy, yy (M,
-// 3) of the parts.
-inline void put_turning_side_by_side(View<const double, 2> position, View<const double, 2> velocity,
-                                     View<const double, 1> spin, View<const double, 2> spread,
-                                     View<const double, 1> friction_accel, Matrix& parts) {
+// Writes the spin (M,) and the second moments xx, xy, yy (M, 3) of the parts to the matrix that
+// `put_side_by_side` has filled.
+inline void put_rotations(View<const double, 1> spin, View<const double, 2> spread, Matrix& parts) {
     using namespace end_turning_rows;
-    put_side_by_side(position, velocity, friction_accel, ROWS, parts);
     std::fill_n(parts[SXX], parts.columns, 1.0), std::fill_n(parts[SYY], parts.columns, 1.0);
-    for (int i = 0; i < position.size(0); i++) {
+    for (int i = 0; i < spin.size(0); i++) {
         parts[SPIN][i] = spin(i);
         for (int c = 0; c < 3; c++) parts[SXX + c][i] = spread(i, c);
     }

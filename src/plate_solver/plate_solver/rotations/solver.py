@@ -129,11 +129,11 @@ class RotationCycles(MotionSolver):
         self.options: RotationOptions = make_options(self.kind, options)
         super().__init__(rig, self.options.seed)
         self.library = Library.around(rig.plate.half)
-        self._warm: Start | None = None
-        self._basis: np.ndarray | None = None
+        self._last_start: Start | None = None
+        self._last_basis: np.ndarray | None = None
 
     def forget(self) -> None:
-        self._warm = self._basis = None
+        self._last_start = self._last_basis = None
 
     def steering_period(
         self, count: int, turns: int = 0, lasting: bool = False, free_end: bool = False
@@ -145,10 +145,10 @@ class RotationCycles(MotionSolver):
     ) -> Solution:
         options, enough = self.options, good_enough**2 * goal.requested_count
         period = self.steering_period(len(goal.position))
-        if self._warm is not None and self._warm.family.period != period:
+        if self._last_start is not None and self._last_start.family.period != period:
             # the last solution has another period, because the number of parts has changed
-            self._warm = None
-        warm = self._warm is not None
+            self._last_start = None
+        warm = self._last_start is not None
 
         def attempt(start: Start, n: int) -> tuple[Try, float, int, bool]:
             max_iterations = options.iterations if warm and n == 0 else 2 * options.iterations
@@ -163,10 +163,10 @@ class RotationCycles(MotionSolver):
             self.cut_short += late
             return late
 
-        begin, tries = self._warm or self.planned(goal), 1 + options.restarts + warm
+        begin, tries = self._last_start or self.planned(goal), 1 + options.restarts + warm
         best, iterations = basin_hopping(propose, attempt, begin, tries, warm, expired)
         family, found = best
-        self._warm = Start(family, found.parameters)
+        self._last_start = Start(family, found.parameters)
         solution = self._finished(goal, best, good_enough, iterations)
         # the time steps of the search were too coarse
         if found.cost <= enough and not solution.success:
@@ -217,9 +217,9 @@ class RotationCycles(MotionSolver):
         self, position: np.ndarray, force: np.ndarray, curl: np.ndarray | None, spread: bool
     ) -> RotationPlan:
         cost = 1 + SPREAD * self._rng.random(len(self.library.twist)) if spread else None
-        price, basis = self.options.max_price, self._basis
+        price, basis = self.options.max_price, self._last_basis
         plan = plan_rotations(self.library, position, force, curl, price, basis, cost)
-        self._basis = plan.times.basis
+        self._last_basis = plan.times.basis
         return plan
 
 
