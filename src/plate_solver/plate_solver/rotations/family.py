@@ -198,6 +198,8 @@ class RotationFamily:
         gap = _kernels.gap_slopes(parameters, self.plain) * self._lengths[:, None]
         pose = self._run(parameters).pose
         travel = pose @ rows.T
+        if np.max(np.abs(travel)) <= self._limits.stroke_m:
+            return np.vstack([gap, np.zeros((len(rows), len(parameters)))])
         by_pose = np.zeros((3, len(pose), len(rows)))
         for i, row in enumerate(rows):
             for k in (np.argmax(travel[:, i]), np.argmin(travel[:, i])):
