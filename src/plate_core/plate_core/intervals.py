@@ -27,10 +27,10 @@ def of_rate(good: int, runs: int) -> tuple[float, float]:
 def of_median(values: Sequence[float]) -> tuple[float, float]:
     """Return the bootstrap interval of a median, computed from random resamples with a fixed
     seed."""
-    rng, values, count = np.random.default_rng(0), np.asarray(values), len(values)
+    rng, drawn_from, count = np.random.default_rng(0), np.asarray(values), len(values)
     # A few resamples at a time need little memory. The random numbers are the same.
     sizes = np.diff([*range(0, RESAMPLES, max(1, MAX_DRAWN // count)), RESAMPLES])
-    medians = [np.median(rng.choice(values, (size, count)), axis=1) for size in sizes]
+    medians = [np.median(rng.choice(drawn_from, (size, count)), axis=1) for size in sizes]
     low, high = np.percentile(np.concatenate(medians), (2.5, 97.5))
     return float(low), float(high)
 

@@ -569,8 +569,8 @@ def _mistake(node: yaml.Node | None, seen: set[yaml.Node], of: str = "file") -> 
     if isinstance(node, yaml.SequenceNode):
         return next(filter(None, (_mistake(item, seen, of) for item in node.value)), "")
     if isinstance(node, yaml.ScalarNode):
-        number = node.tag.rsplit(":", 1)[-1] in ("int", "float")
-        if not number or not NOT_DECIMAL.fullmatch(node.value):
+        is_number = node.tag.rsplit(":", 1)[-1] in ("int", "float")
+        if not is_number or not NOT_DECIMAL.fullmatch(node.value):
             return ""
         line, value = node.start_mark.line + 1, yaml.safe_load(node.value)
         return (

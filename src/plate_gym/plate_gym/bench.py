@@ -269,15 +269,15 @@ def check(
     if "limits" in result:
         own |= {"limits": asdict(limits), "files": files(agent)}
     made, here = terms(result), terms(result | own)
-    other = [
+    differences = [
         shortened(f"{name} is {made.get(name)} in the result, and {here.get(name)} here")
         for name in (here | made if "limits" in result else made)
         if made.get(name) != here.get(name)
     ]
-    for text in other[:MAX_OTHER]:
+    for text in differences[:MAX_OTHER]:
         report(text)
-    if len(other) > MAX_OTHER:
-        report(f"{len(other) - MAX_OTHER} more differences of versions and files")
+    if len(differences) > MAX_OTHER:
+        report(f"{len(differences) - MAX_OTHER} more differences of versions and files")
     # The seeds that are repeated must be unpredictable, so the generator has no fixed seed.
     wrong, rng = [], np.random.default_rng()
     for task, claimed in result["tasks"].items():

@@ -276,6 +276,17 @@ def test_numbers_in_names_are_sorted_by_value(tmp_path):
     assert [name for name, _ in read_pictures(tmp_path)] == order
 
 
+def test_other_pictures_in_a_folder_are_skipped_with_a_warning(tmp_path):
+    for name in ("1.png", "2.PNG"):
+        cv2.imwrite(str(tmp_path / name), np.zeros((6, 8), np.uint8))
+    for name in ("3.HEIC", "4.gif", "notes.txt"):
+        (tmp_path / name).write_bytes(b"x")
+    warnings = []
+    assert [name for name, _ in read_pictures(tmp_path, warnings.append)] == ["1.png", "2.PNG"]
+    assert len(warnings) == 1
+    assert "skipped 3.HEIC and 1 more, allowed: .bmp" in warnings[0]
+
+
 def test_a_film(tmp_path):
     path = tmp_path / "film.avi"
     film = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 10, (64, 48))

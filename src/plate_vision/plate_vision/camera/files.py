@@ -6,6 +6,7 @@ a folder or a video. Sizes are checked before the pixels are unpacked.
 
 from __future__ import annotations
 
+import mimetypes
 import re
 import sys
 from collections.abc import Callable, Sequence
@@ -117,7 +118,8 @@ def read_pictures(path: Path, warn: Callable[[str], None] | None = None) -> Pict
     (H, W, 3) uint8, blue, green, red.
 
     Pictures are never rotated. An orientation in EXIF, PNG, TIFF, WebP or a video is ignored. A
-    warning names the first picture that has an orientation.
+    warning names the first picture that has an orientation. Other picture files and videos in a
+    folder are skipped with a warning.
 
     Parameters
     ----------
@@ -133,16 +135,28 @@ def read_pictures(path: Path, warn: Callable[[str], None] | None = None) -> Pict
         If the path cannot be read, or a picture has too many pixels. The iterator can also raise
         this error.
     """
+    warn = warn or _print_warning
     if path.is_dir():
-        files = [file for file in path.iterdir() if file.suffix.lower() in PICTURES]
-        files.sort(key=_name_with_numbers)
+        names = sorted(path.iterdir(), key=_name_with_numbers)
+        files = [file for file in names if file.suffix.lower() in PICTURES]
         if not files:
             raise ImageError(f"{path}: contains no pictures, allowed: {', '.join(PICTURES)}")
+        skipped = [file.name for file in names if _is_other_picture(file)]
+        if skipped:
+            more = f" and {len(skipped) - 1} more" if len(skipped) > 1 else ""
+            warn(f"{path}: skipped {skipped[0]}{more}, allowed: {', '.join(PICTURES)}")
     elif not path.exists():
         raise ImageError(f"{path}: no such file or folder, allowed: pictures or a video")
     else:
         files = [path] if path.suffix.lower() in PICTURES else []
-    return Pictures(path, files, warn or _print_warning)
+    return Pictures(path, files, warn)
+
+
+def _is_other_picture(path: Path) -> bool:
+    """Return whether a file is a video or a picture whose suffix is not in `PICTURES`."""
+    suffix, kind = path.suffix.lower(), mimetypes.guess_type(path.name)[0] or ""
+    is_visual = kind.startswith(("image/", "video/")) or suffix in (".heic", ".heif")
+    return is_visual and suffix not in PICTURES
 
 
 def _name_with_numbers(path: Path) -> tuple[list[tuple[str, int]], str]:
