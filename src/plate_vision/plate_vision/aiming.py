@@ -19,10 +19,10 @@ from .plate.outline import (
     OUTWARD,
     Outline,
     OutlineGrid,
-    contrasted,
+    contrast_channel,
     edge_points,
     evaluate_outline,
-    fitting_flips,
+    find_fitting_flips,
 )
 from .vision import Vision
 
@@ -156,7 +156,7 @@ class Light:
     white: float
 
 
-def light_on_plate(image: np.ndarray, field: AimField) -> Light:
+def measure_light(image: np.ndarray, field: AimField) -> Light:
     """Measure the light on the expected area of the plate in an image (H, W) or (H, W, 3) uint8."""
     part = np.ascontiguousarray(image[field.rows, field.columns])
     grey = grey_levels(part)
@@ -168,7 +168,7 @@ def light_on_plate(image: np.ndarray, field: AimField) -> Light:
     return Light(histogram, float(levels[0]) / count, float(burnt[255]) / count)
 
 
-def sharpness_of(image: np.ndarray, field: AimField) -> float:
+def measure_sharpness(image: np.ndarray, field: AimField) -> float:
     """Return the sharpness of an image (H, W) or (H, W, 3) uint8 around the plate [1/px].
 
     The sharpness is the root mean square of the gradient (Tenengrad), divided by the standard
@@ -192,7 +192,7 @@ def edge_blur_px(image: np.ndarray, outline: Outline, field: AimField) -> float:
     3) [px]. The result is the median of contrast / (sqrt(2 pi) slope) over the visible edges. The
     result is NaN if no edge is visible."""
     calibration, along = field.vision.calibration, field.grid.along
-    grey = contrasted(image, field.grid)
+    grey = contrast_channel(image, field.grid)
     middle, slope, bow = (column[:, None] for column in outline.edges.T)
     away = middle + slope * along + bow * (1 - along**2)
     foot = edge_points(field.grid.half, along)
@@ -246,12 +246,12 @@ class Focus:
         known = math.isfinite(blur_px)
         return replace(
             focus,
-            peaked=not lost and (focus.peaked or focus._passed),
+            peaked=not lost and (focus.peaked or focus._has_passed_maximum),
             sharp=not lost and (blur_px <= SHARP_PX if known else focus.sharp),
         )
 
     @property
-    def _passed(self) -> bool:
+    def _has_passed_maximum(self) -> bool:
         """Whether the sharpness rose, fell, and is back near its maximum."""
         value = np.array([value for _, value in self.values if math.isfinite(value)])
         best = int(np.argmax(value)) if len(value) else 0
@@ -340,7 +340,7 @@ def outline_finding(
     finding, text = evaluate_outline(*facts)
     seen = int(np.count_nonzero(outline.seen))
     if finding is not None:
-        finding, text = evaluate_outline(*facts, fitting_flips(image, grid))
+        finding, text = evaluate_outline(*facts, find_fitting_flips(image, grid))
     if finding is not None:
         return finding
     if seen < 3:

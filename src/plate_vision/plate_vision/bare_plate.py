@@ -60,7 +60,7 @@ def learn_next(plate: BarePlate, image: np.ndarray | None, region: Region) -> tu
     Return the new state, and a message for the user. If the last image (H, W) or (H, W, 3) shows
     objects on the plate, the message states the number of objects."""
     text = f"the next {BARE_IMAGES} images are used for the bare plate"
-    things = "" if image is None else things_text(image, region)
+    things = "" if image is None else unexpected_objects_text(image, region)
     if things:
         text += f"; now {things}; if these are parts, remove them and call again"
     return replace(plate, requested=BARE_IMAGES, images=()), text
@@ -90,7 +90,7 @@ def know_plate(
             return replace(plate, images=images), vision, None
         vision = replace(vision, background=learn_plate(np.stack(images)))
         text = f"bare plate learned from {len(images)} images"
-        things, found = things_text(image, vision.region), Finding(Level.OK, text)
+        things, found = unexpected_objects_text(image, vision.region), Finding(Level.OK, text)
         if things:
             found = Finding(
                 Level.WARN, f"{text}; {things}; if these are parts, remove them, and learn again"
@@ -106,7 +106,7 @@ def know_plate(
     return replace(plate, first=first, light=light), vision, None
 
 
-def things_text(image: np.ndarray, region: Region) -> str:
+def unexpected_objects_text(image: np.ndarray, region: Region) -> str:
     """Return a text with the number of objects on a plate that should be bare. The text is empty if
     no objects are detected."""
     count = len(find_patches(image, model_plate(image, region), region))

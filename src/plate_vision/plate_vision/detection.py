@@ -50,10 +50,10 @@ from .plate import (
 from .plate.contrast import Channels
 from .remains import (
     Remains,
+    clean_remains,
     find_remains,
-    overlooked_things,
-    solid,
-    without,
+    overlooked_objects,
+    remove_parts,
 )
 from .shadow_search import GOOD_FIT, MIN_OBJECTS, find_shadow
 from .shapes import find_outlines
@@ -244,7 +244,7 @@ def detect(
     why = ", for which the region was made"
     check_size("image: size is", size_px, region.size_px, why=why)
     if options is None:
-        return _detect_any(image, region)
+        return _detect_undescribed(image, region)
     return find_discs(image, region, options, view or PartView.even(options.radius_px)).found
 
 
@@ -274,10 +274,10 @@ class Discs(NamedTuple):
     @property
     def places(self) -> np.ndarray:
         """Centres of the parts (n, 2) [px]."""
-        return _places(self.found)
+        return _disc_centres(self.found)
 
 
-def _places(found: np.ndarray) -> np.ndarray:
+def _disc_centres(found: np.ndarray) -> np.ndarray:
     places = np.empty((len(found), 2))
     places[:, 0], places[:, 1] = found["x_px"], found["y_px"]
     return places
@@ -310,16 +310,16 @@ def find_discs(
         return NO_DISCS
     scene = Scene(plate, channels_of(image, plate, region), region, options, view)
     if shadow is not None:
-        discs = _shadowed_discs(scene, shadow)
-        if not _uncertain(discs):
+        discs = _find_shadowed_discs(scene, shadow)
+        if not _has_many_misfits(discs):
             return discs
-    discs = _dark_discs(plate, region, options, view)
+    discs = _find_dark_discs(plate, region, options, view)
     remains = find_remains(
         scene.channels, region, scene.limit, view.min_radius_px, discs.places, discs.parts
     )
     if remains is not None:
-        discs = _with_others(scene, discs, remains)
-    discs = discs._replace(uncertain=_uncertain(discs))
+        discs = _add_parts_by_contrast(scene, discs, remains)
+    discs = discs._replace(uncertain=_has_many_misfits(discs))
     if view.calibration is None or not (discs.uncertain and search):
         return discs
     every = find_remains(
@@ -328,9 +328,9 @@ def find_discs(
     if every is None or scene.contrast is None:
         return discs
     shadow = find_shadow(
-        scene.contrast, solid(every, options.radius_px), view.silhouettes, view.calibration
+        scene.contrast, clean_remains(every, options.radius_px), view.silhouettes, view.calibration
     )
-    return discs if shadow is None else _shadowed_discs(scene, shadow)
+    return discs if shadow is None else _find_shadowed_discs(scene, shadow)
 
 
 @dataclass(frozen=True, eq=False)
@@ -354,7 +354,7 @@ class Scene:
         return contrast_image(self.channels, self.region)
 
 
-def _uncertain(discs: Discs) -> bool:
+def _has_many_misfits(discs: Discs) -> bool:
     """Whether many objects have a large misfit. Parts whose shadow is unknown also have a large
     misfit."""
     good = GOOD_MISFIT if discs.shadow is None else GOOD_FIT
@@ -365,21 +365,21 @@ def _uncertain(discs: Discs) -> bool:
     return bool(uncertain >= MIN_OBJECTS and uncertain > ROUGH * len(discs.found))
 
 
-def _with_others(scene: Scene, discs: Discs, remains: Remains) -> Discs:
+def _add_parts_by_contrast(scene: Scene, discs: Discs, remains: Remains) -> Discs:
     """Search the remains for further parts by contrast. Return all parts. The other objects in the
     remains are returned as overlooked objects."""
     contrast, radius_px = scene.contrast, scene.options.radius_px
     if contrast is None:
         return discs
-    remains = solid(remains, radius_px)
-    others = _other_discs(scene, contrast, remains, discs, None)
-    remains = without(remains, others.places, others.parts)
-    things = overlooked_things(remains, scene.region, radius_px, FAINT * scene.limit, contrast)
+    remains = clean_remains(remains, radius_px)
+    others = _find_discs_by_contrast(scene, contrast, remains, discs, None)
+    remains = remove_parts(remains, others.places, others.parts)
+    things = overlooked_objects(remains, scene.region, radius_px, FAINT * scene.limit, contrast)
     found = np.concatenate([discs.found, others.found])
-    return _apart(Discs(found, np.concatenate([discs.parts, others.parts]), things))
+    return _remove_overlaps(Discs(found, np.concatenate([discs.parts, others.parts]), things))
 
 
-def _shadowed_discs(scene: Scene, shadow: Shadow) -> Discs:
+def _find_shadowed_discs(scene: Scene, shadow: Shadow) -> Discs:
     """Find all parts by their contrast if every part casts a shadow."""
     contrast, radius_px, view = scene.contrast, scene.options.radius_px, scene.view
     remains = find_remains(
@@ -392,15 +392,15 @@ def _shadowed_discs(scene: Scene, shadow: Shadow) -> Discs:
     )
     if remains is None or contrast is None:
         return NO_DISCS._replace(shadow=shadow)
-    remains = solid(remains, radius_px)
-    discs = _other_discs(scene, contrast, remains, NO_DISCS, shadow)
-    remains = without(remains, discs.places, discs.parts)
-    remains = without(remains, discs.places, shadow.drawn(discs.places, discs.parts))
-    things = overlooked_things(remains, scene.region, radius_px, FAINT * scene.limit, contrast)
-    return _apart(discs._replace(overlooked=things, shadow=shadow))
+    remains = clean_remains(remains, radius_px)
+    discs = _find_discs_by_contrast(scene, contrast, remains, NO_DISCS, shadow)
+    remains = remove_parts(remains, discs.places, discs.parts)
+    remains = remove_parts(remains, discs.places, shadow.drawn(discs.places, discs.parts))
+    things = overlooked_objects(remains, scene.region, radius_px, FAINT * scene.limit, contrast)
+    return _remove_overlaps(discs._replace(overlooked=things, shadow=shadow))
 
 
-def _apart(discs: Discs) -> Discs:
+def _remove_overlaps(discs: Discs) -> Discs:
     """Remove each disc that overlaps a disc with a smaller misfit. If the misfits are similar,
     either disc may be the part. For similar misfits, the standard deviation of the remaining disc's
     place becomes at least the distance between the two discs."""
@@ -421,7 +421,9 @@ def _apart(discs: Discs) -> Discs:
     return discs._replace(found=found[kept], parts=discs.parts[kept])
 
 
-def _dark_discs(plate: LitPlate, region: Region, options: DetectorOptions, view: PartView) -> Discs:
+def _find_dark_discs(
+    plate: LitPlate, region: Region, options: DetectorOptions, view: PartView
+) -> Discs:
     """Find parts that are clearly darker than the plate. Each part is measured by the fastest
     method that is suitable."""
     threshold = min(options.threshold, CLEARLY_DARK)
@@ -430,10 +432,10 @@ def _dark_discs(plate: LitPlate, region: Region, options: DetectorOptions, view:
         return NO_DISCS
     discs, marks, alone = measure_dark(plate, region, seeds, parts)
     light = 1 - discs["darkness"]
-    return _accepted(discs, parts, marks, light, alone, plate.noise, region, options)
+    return _select_parts(discs, parts, marks, light, alone, plate.noise, region, options)
 
 
-def _other_discs(
+def _find_discs_by_contrast(
     scene: Scene, contrast: LitPlate, remains: Remains, known: Discs, shadow: Shadow | None
 ) -> Discs:
     """Find parts other than the `known` ones by their contrast to the plate. If `shadow` is given,
@@ -452,25 +454,27 @@ def _other_discs(
         return NO_DISCS
     if shadow is not None:
         parts = silhouettes(seeds)
-    discs = _fitted(contrast, seeds, parts, known, shadow)
-    there = (discs["darkness"] >= scene.limit) & ~_overlapping(discs, parts)
+    discs = _fit_seeds(contrast, seeds, parts, known, shadow)
+    there = (discs["darkness"] >= scene.limit) & ~_is_overlapped(discs, parts)
     # repeat the fit without the rejected discs, because they affect the fit of their neighbours
     if not np.all(there):
         seeds, parts = seeds[there], parts[there]
-        discs = _fitted(contrast, seeds, parts, known, shadow)
+        discs = _fit_seeds(contrast, seeds, parts, known, shadow)
         discs["misfit"][discs["darkness"] < scene.limit] = np.inf
     marks = find_marks(scene.plate, seeds, parts)
-    centre = _places(discs)
+    centre = _disc_centres(discs)
     radii_px = parts["growth"] * parts["radius_px"]
     light = brightness(scene.channels, tops(centre, parts), radii_px)
     alone = np.zeros(len(discs), np.bool_)
-    return _accepted(discs, parts, marks, light, alone, contrast.noise, scene.region, scene.options)
+    return _select_parts(
+        discs, parts, marks, light, alone, contrast.noise, scene.region, scene.options
+    )
 
 
-def _overlapping(discs: np.ndarray, parts: np.ndarray) -> np.ndarray:
+def _is_overlapped(discs: np.ndarray, parts: np.ndarray) -> np.ndarray:
     """Return which discs (n,) DISC overlap a disc that fits better. For example, one seed may be on
     a part and another one on the shadow of the same part."""
-    place, reach = _places(discs), APART * parts["radius_px"]
+    place, reach = _disc_centres(discs), APART * parts["radius_px"]
     if not np.any(crowded(place, float(np.max(reach, initial=0)))):
         return np.zeros(len(discs), np.bool_)
     gap = np.hypot(*(place[:, None] - place).T)
@@ -478,7 +482,7 @@ def _overlapping(discs: np.ndarray, parts: np.ndarray) -> np.ndarray:
     return np.any((gap < np.maximum(reach, reach[:, None])) & better, axis=1)
 
 
-def _fitted(
+def _fit_seeds(
     contrast: LitPlate, seeds: np.ndarray, parts: np.ndarray, known: Discs, shadow: Shadow | None
 ) -> np.ndarray:
     """Fit discs (n,) DISC to seeds (n, 2) [px], together with the known discs."""
@@ -486,12 +490,12 @@ def _fitted(
     return fit_discs(contrast, every, np.concatenate([parts, known.parts]), shadow)[: len(seeds)]
 
 
-def _accepted(
+def _select_parts(
     discs: np.ndarray,
     parts: np.ndarray,
     marks: np.ndarray,
     light: np.ndarray,
-    alone: np.ndarray,
+    by_moments: np.ndarray,
     noise: float,
     region: Region,
     options: DetectorOptions,
@@ -499,7 +503,7 @@ def _accepted(
     """Return the measured discs (n,) DISC that are accepted as parts.
 
     `parts` (n,) SILHOUETTE; `marks` (n, 2) [px]; `light` (n,): brightness relative to the plate;
-    `alone` (n,): whether a disc was measured by moments.
+    `by_moments` (n,): whether a disc was measured by moments.
     """
     kept, labels, numbers = judge(
         discs, parts, marks, light, region, noise, options.radius_tolerance,
@@ -510,22 +514,24 @@ def _accepted(
         found[name] = column
     found["label"] = LABELS[labels]
     if len(kept) < len(discs):
-        parts, alone = parts[kept], alone[kept]
-    found["method"] = MEASURED[alone.view(np.uint8)]
+        parts, by_moments = parts[kept], by_moments[kept]
+    found["method"] = MEASURED[by_moments.view(np.uint8)]
     return Discs(found, parts, NONE_OVERLOOKED)
 
 
-def _detect_any(image: np.ndarray, region: Region) -> np.ndarray:
+def _detect_undescribed(image: np.ndarray, region: Region) -> np.ndarray:
     """Return the parts of an image (H, W) or (H, W, 3) if no options describe them."""
-    found = _outlines(image, region)
-    options = _if_alike(found)
+    found = _find_inner_outlines(image, region)
+    options = _options_for_discs(found)
     if options is not None:
         # At this point, either all parts are brighter than the plate, or all parts are darker.
         bright = bool(np.any(found["contrast"] > 0))
         grey = grey_levels(image)
         view = PartView.even(options.radius_px)
         plate = fit_light(255 - grey if bright else grey, region, options.min_plate_grey)
-        again = (NO_DISCS if plate is None else _dark_discs(plate, region, options, view)).found
+        again = (
+            NO_DISCS if plate is None else _find_dark_discs(plate, region, options, view)
+        ).found
         if len(again) >= len(found):
             if bright:
                 again["label"] = BRIGHT
@@ -540,7 +546,7 @@ def _detect_any(image: np.ndarray, region: Region) -> np.ndarray:
     return parts
 
 
-def _outlines(image: np.ndarray, region: Region) -> np.ndarray:
+def _find_inner_outlines(image: np.ndarray, region: Region) -> np.ndarray:
     """Return the patches (n,) `OUTLINE` of an image that are completely inside the region."""
     x0, y0, x1, y1 = region.box
     found = find_outlines(image[y0:y1, x0:x1])
@@ -549,7 +555,7 @@ def _outlines(image: np.ndarray, region: Region) -> np.ndarray:
     return found[region.depth(found["x_px"], found["y_px"]) > found["radius_px"]]
 
 
-def _if_alike(outlines: np.ndarray) -> DetectorOptions | None:
+def _options_for_discs(outlines: np.ndarray) -> DetectorOptions | None:
     """Return a description of round parts if all outlines are round and have about the same size.
     All outlines must also be brighter than the plate, or all darker. Otherwise, return None."""
     if len(outlines) < MIN_ALIKE or not np.all(outlines["round"] & ~outlines["group"]):

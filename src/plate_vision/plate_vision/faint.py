@@ -75,7 +75,7 @@ def faint_patches(
     grey = np.asarray(cv2.resize(grey, size_px, interpolation=cv2.INTER_AREA), np.float32)
     free = np.floor(cv2.resize(free, size_px, interpolation=cv2.INTER_AREA)).astype(np.float32)
     radius_px /= step
-    inner, low, high = (_box(grey, free, side * radius_px) for side in (INNER, *RING))
+    inner, low, high = (_box_sums(grey, free, side * radius_px) for side in (INNER, *RING))
     ring = (high[0] - low[0]) / np.maximum(high[1] - low[1], 1e-6)
     # The measured patch and the complete ring around it must be on the visible plate.
     whole = (high[1] > 0.98 * (round(RING[1] * radius_px) | 1) ** 2) & (free > 0)
@@ -114,19 +114,19 @@ def faint_finding(count: int, contrast: float, taken: int) -> Finding | None:
     )
 
 
-def _box(grey: np.ndarray, free: np.ndarray, side_px: float) -> tuple[np.ndarray, np.ndarray]:
+def _box_sums(grey: np.ndarray, free: np.ndarray, side_px: float) -> tuple[np.ndarray, np.ndarray]:
     """Return, for a square around each pixel, the sum of the free pixels' grey levels (H, W) and
     the number of free pixels (H, W)."""
     side = round(side_px) | 1
 
-    def summed(values: np.ndarray) -> np.ndarray:
+    def sum_box(values: np.ndarray) -> np.ndarray:
         return np.asarray(
             cv2.boxFilter(
                 values, cv2.CV_32F, (side, side), normalize=False, borderType=cv2.BORDER_CONSTANT
             )
         )
 
-    return summed(grey * free), summed(free)
+    return sum_box(grey * free), sum_box(free)
 
 
 def _is_round(contrast: np.ndarray, x: int, y: int, radius_px: float) -> bool:

@@ -63,7 +63,7 @@ from .drawing import ARROW_S, draw_detections, outlines_px
 from .errors import ImageError, TeachError
 from .faint import faint_finding, faint_patches
 from .live_teaching import Teaching, learn_shown
-from .overlooked import Expected, OverlookedTally, beside_parts, remedy
+from .overlooked import Expected, OverlookedTally, is_separate_object, remedy
 from .plate import OutlineCheck, PlateLocation, light_problem
 from .recognition import camera_limits
 from .ros import AimingView, lens_of
@@ -87,7 +87,7 @@ TRANSPORTS = ("raw", "compressed")
 """Transports of the package image_transport that the node supports."""
 
 
-def _option(kind: type[DetectorOptions] | type[TrackerOptions], name: str, text: str) -> Any:
+def _live_option(kind: type[DetectorOptions] | type[TrackerOptions], name: str, text: str) -> Any:
     """Return the field of a live parameter. Default and range are those of the option with the same
     name of the detection or the tracking."""
     return parameter(getattr(kind, name), text, *kind.RANGES[name], live=True)
@@ -127,44 +127,44 @@ class DetectorParameters(NodeOptions):
     teach_name: str = parameter("", "Name of the part type that ~/teach learns.", live=True)
     teach_file: str = parameter(str(OUT), "File of part types that ~/teach writes.")
     bits: int = parameter(16, "Number of used bits in 16-bit encodings", 8, 16, live=True)
-    threshold: float = _option(
+    threshold: float = _live_option(
         DetectorOptions,
         "threshold",
         "Maximum brightness of a dark part relative to the plate [-]. Other parts need a contrast "
         "of at least 1 minus this value.",
     )
-    class_threshold: float = _option(
+    class_threshold: float = _live_option(
         DetectorOptions,
         "class_threshold",
         "Brightness relative to the bare plate: black parts are below it, grey parts above [-]",
     )
-    radius_tolerance: float = _option(
+    radius_tolerance: float = _live_option(
         DetectorOptions,
         "radius_tolerance",
         "Maximum deviation of a part's radius, relative to the radius in the rig file [-]",
     )
-    min_plate_grey: float = _option(
+    min_plate_grey: float = _live_option(
         DetectorOptions, "min_plate_grey", "Minimum brightness of the plate [grey levels]"
     )
-    margin_px: float = _option(
+    margin_px: float = _live_option(
         DetectorOptions, "margin_px", "Maximum distance of a part's centre outside the plate [px]"
     )
-    gate_m: float = _option(
+    gate_m: float = _live_option(
         TrackerOptions,
         "gate_m",
         "Maximum distance of a part from its expected position, per image [m]",
     )
-    max_missed: int = _option(
+    max_missed: int = _live_option(
         TrackerOptions,
         "max_missed",
         "Number of consecutive images without a part after which its id is given up",
     )
-    confirm: int = _option(
+    confirm: int = _live_option(
         TrackerOptions,
         "confirm",
         "Number of consecutive images that must show a new part before it gets an id",
     )
-    velocity_frames: int = _option(
+    velocity_frames: int = _live_option(
         TrackerOptions, "velocity_frames", "Number of images over which the drift is measured"
     )
 
@@ -239,7 +239,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
 
     def __init__(self) -> None:
         super().__init__("detector", DetectorParameters)
-        self.report(self._find, self._values, "camera", self._begin_report)
+        self.report(self._diagnose, self._diagnostic_values, "camera", self._begin_report)
 
     def configure(self) -> None:
         """Read the rig and the lens."""
@@ -261,7 +261,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             bare = load_bare(
                 Path(values.bare_plate_file),
                 self._vision.region.size_px,
-                self._unknown_location(),
+                self._initial_location(),
             )
             self._vision = replace(self._vision, background=bare)
             self._plate = BarePlate(True, bare)
@@ -283,15 +283,15 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self.managed_service(Trigger, "~/reset", self._on_reset)
         self.managed_service(Trigger, "~/learn_plate", self._on_learn_plate)
         self.managed_service(Trigger, "~/teach", self._on_teach)
-        self._aiming = AimingView(self, self._situation, self._take_corners, self._take_lens)
+        self._aiming = AimingView(self, self._aiming_situation, self._use_corners, self._use_lens)
 
     def begin(self) -> None:
         """Reset all state that was computed from images."""
         values = self.options
-        self._location = self._unknown_location()
+        self._location = self._initial_location()
         self._tracker = Tracker(values.tracker())
         self._expected: Prediction | None = None
-        self._given_up = self._renamed = 0
+        self._given_up_count = self._renamed_count = 0
         self._trails: dict[str, deque[tuple[float, float]]] = {}
         compressed = values.image_transport == "compressed"
         self._topic = "image_raw/compressed" if compressed else "image_raw"
@@ -307,13 +307,13 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self._teaching = Teaching()
         self._image: np.ndarray | None = None
         self._last_image = np.empty(0)  # the last usable image, unchanged
-        self._early: float | None = None
+        self._older_stamp: float | None = None
         self._outline: OutlineCheck | None = None
         self._faint: Finding | None = None
         # number of faint patches in the last search, and time of this search
         self._faint_count, self._faint_at = 0, -math.inf
         if self._location is None:
-            self._place_camera()
+            self._publish_camera_pose()
         self._aiming.begin()
 
     def rest(self) -> None:
@@ -322,7 +322,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
 
     def _on_image(self, msg: Image) -> None:
         size_px, big = (msg.width, msg.height), bool(msg.is_bigendian)
-        self._answer(
+        self._process_image(
             "image_raw",
             msg.header.stamp,
             lambda: decode(msg.data, size_px, msg.encoding, msg.step, big, self.options.bits),
@@ -331,14 +331,14 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
 
     def _on_file(self, msg: CompressedImage) -> None:
         size_px = self._vision.region.size_px
-        self._answer(
+        self._process_image(
             "image_raw/compressed",
             msg.header.stamp,
             lambda: decode_file(msg.data, msg.format, self.options.bits, size_px),
             is_wide_file(msg.data),
         )
 
-    def _suit(self, size_px: tuple[int, int]) -> None:
+    def _adapt_rig_to_photograph(self, size_px: tuple[int, int]) -> None:
         """Adapt the rig to a photograph whose size differs from the size of the rig's images. The
         photograph is assumed to show the whole plate.
 
@@ -355,19 +355,19 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
                 raise ImageError(warning.text)
         self._rig, self._lens = rig, None
         self._vision = make_vision(rig, self.options.detector(), None)
-        self._location = self._unknown_location()
+        self._location = self._initial_location()
         self._warn(text)
 
     def _log_photograph(self, name: str) -> None:
         """Log the parts of a photograph, and the objects in it that are rejected as parts."""
         self.get_logger().info(f"{name}: {found_text(self._tracker)}")
         overlooked = OverlookedTally()
-        overlooked.add(*self._counts())
+        overlooked.add(*self._part_count_and_overlooked())
         for found in (overlooked.finding(Expected.of(self._rig)), self._faint):
             if found is not None:
                 self._warn(f"{name}: {found.message}")
 
-    def _answer(
+    def _process_image(
         self, source: str, stamp: Time, unpack: Callable[[], np.ndarray], wide: bool = False
     ) -> None:
         """Find the parts in one image, and publish them. If `wide`, the image has 16-bit values,
@@ -375,23 +375,23 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self._input = self._input.received(time.monotonic())
         self._tally.images += 1
         self._images += 1
-        alone = self.options.photographs
-        if alone:
+        is_photograph = self.options.photographs
+        if is_photograph:
             source = f"image {self._images}"
         received: np.ndarray | None = None
         try:
             received = image = unpack()
-            if alone:
+            if is_photograph:
                 self._tracker, self._expected = Tracker(self._tracker.options), None
                 if self._images == 1 + self._refused:
-                    self._suit(image.shape[1::-1])
-            began = time.perf_counter()
+                    self._adapt_rig_to_photograph(image.shape[1::-1])
+            start_s = time.perf_counter()
             self._check_stamp(received, seconds(stamp))
             if self._location is not None:
-                image = self._find_plate(self._location, image, stamp)
+                image = self._locate_plate(self._location, image, stamp)
             self._image = image
             if self._vision.catalogue is not None:
-                self._know_plate(image)
+                self._update_bare_plate(image)
             before = self._tracker
             self._tracker = observe(self._vision, before, image, seconds(stamp), self._expected)
         except PlateError as error:
@@ -403,9 +403,9 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
                 self._aiming.add_image(received, stamp, str(error))
             return
         self._last_image = received
-        self._tally.detection_ms.append(1e3 * (time.perf_counter() - began))
+        self._tally.detection_ms.append(1e3 * (time.perf_counter() - start_s))
         if self._tracker is not before:
-            self._note_ids()
+            self._log_id_changes()
         problem = light_problem(image, self._vision.options.min_plate_grey)
         if problem:
             problem += bits_hint(image, self.options.bits) if wide else ""
@@ -416,17 +416,17 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
                 self._tracker.parts,
                 stamp,
                 quality=self._tracker.quality,
-                overlooked=self._note_overlooked(),
+                overlooked=self._record_overlooked(),
             )
         )
         if self._drawings.get_subscription_count():
-            self._drawings.publish(array_to_image(self._draw(image), stamp, "bgr8"))
+            self._drawings.publish(array_to_image(self._draw_detections(image), stamp, "bgr8"))
         if self._markers.get_subscription_count():
-            self._markers.publish(self._scene(stamp))
+            self._markers.publish(self._make_markers(stamp))
         self._check_outline(received, seconds(stamp))
         if not 0 <= seconds(stamp) - self._faint_at < FAINT_PERIOD_S:
-            self._check_faint(image, seconds(stamp))
-        if alone:
+            self._count_faint_patches(image, seconds(stamp))
+        if is_photograph:
             self._log_photograph(source)
         self._aiming.add_image(received, stamp)
 
@@ -434,12 +434,12 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         """Raise an error if an image has the same stamp as the previous image but other pixels.
         Also raise an error if a single image is older than the previous one. If the next image is
         also older, accept this image, because the clock has probably been set back."""
-        last, early = self._tracker.stamp, self._early
-        self._early = None
+        last, early = self._tracker.stamp, self._older_stamp
+        self._older_stamp = None
         if last is None or stamp > last:
             return
         if stamp < last and early is None:
-            self._early = stamp
+            self._older_stamp = stamp
             raise ImageError(
                 f"stamp is {stamp:.3f} s, {last - stamp:.3f} s before that of the last image, "
                 "allowed: increasing stamps, from one camera"
@@ -450,7 +450,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
                 "stamp for each image; check that the camera's node sets the stamp"
             )
 
-    def _know_plate(self, image: np.ndarray) -> None:
+    def _update_bare_plate(self, image: np.ndarray) -> None:
         """Learn the bare plate, model it, or adapt its model to the present light."""
         self._plate, self._vision, found = know_plate(self._plate, self._vision, image)
         if found is None:
@@ -466,7 +466,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         if self._vision.catalogue is None:
             response.message = "the rig file has no part types, allowed: a rig file with types"
             return response
-        if self._moving:
+        if self._is_plate_moving:
             response.message = "a task moves the plate, allowed: the bare plate at rest at home"
             return response
         self._plate, response.message = learn_next(self._plate, self._image, self._vision.region)
@@ -495,10 +495,10 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self.get_logger().info(f"~/teach: {response.message}")
         return response
 
-    def _situation(self) -> Situation:
+    def _aiming_situation(self) -> Situation:
         """Return the detector's state that is shown while the camera is aimed."""
         expected = Expected.of(self._rig)
-        count, things, radius = self._counts()
+        count, things, radius = self._part_count_and_overlooked()
         tally = OverlookedTally()
         tally.add(count, things, radius)
         found = tally.finding(expected)
@@ -518,20 +518,20 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             self._rig,
             self._vision,
             expected,
-            self._things(things, radius, expected),
+            self._visible_objects(things, radius, expected),
             tuple(findings),
             self._lens,
-            moving=self._moving,
+            moving=self._is_plate_moving,
         )
 
     @property
-    def _moving(self) -> bool:
+    def _is_plate_moving(self) -> bool:
         """Whether a task moves the plate. A motion is assumed if the planner's prediction is close
         in time to the last image."""
         expected, last = self._expected, self._tracker.stamp
         return expected is not None and (last is None or abs(last - expected.stamp) < PLANNED_S)
 
-    def _things(
+    def _visible_objects(
         self, things: np.ndarray, radius: np.ndarray, expected: Expected
     ) -> tuple[Thing, ...]:
         """Return the parts of the last image, and the overlooked objects (n,) OVERLOOKED with their
@@ -567,7 +567,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             )
         return Finding(Level.OK, f"{lens.model}, focal length {lens.matrix[0, 0]:.0f} px")
 
-    def _take_corners(self, corners_px: np.ndarray) -> None:
+    def _use_corners(self, corners_px: np.ndarray) -> None:
         """Use these corners (4, 2) [px] of the plate until the node ends. The bare plate is
         forgotten, because it was learned before the camera was moved."""
         corners = tuple((float(x), float(y)) for x, y in corners_px)
@@ -575,7 +575,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self._plate = BarePlate()
         self._restart_detection(self._lens)
 
-    def _take_lens(self, lens: Lens) -> None:
+    def _use_lens(self, lens: Lens) -> None:
         """Use a lens that was fitted to pictures."""
         self._restart_detection(lens)
         self._lens, self._lens_problem = lens, ""
@@ -586,9 +586,9 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         vision = make_vision(self._rig, self._vision.options, lens)
         self._vision = replace(vision, background=self._plate.first)
         self._tracker, self._expected = Tracker(self._tracker.options), None
-        self._outline, self._location = None, self._unknown_location()
+        self._outline, self._location = None, self._initial_location()
         if self._location is None:
-            self._place_camera()
+            self._publish_camera_pose()
 
     def _on_forces(self, msg: PartForces) -> None:
         """Store the planner's prediction of the parts at the start of a cycle, if the message
@@ -608,54 +608,56 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         before = self._outline
         if before is None:
             before = OutlineCheck.of(self._rig, self._vision.calibration)
-        self._outline = before.add(image, stamp, moving=self._moving)
+        self._outline = before.add(image, stamp, moving=self._is_plate_moving)
         found = self._outline.finding
         if found is not None and before.finding is None:
             self._warn(found.message)
 
-    def _check_faint(self, image: np.ndarray, stamp: float) -> None:
+    def _count_faint_patches(self, image: np.ndarray, stamp: float) -> None:
         """Count faint patches that are as large as round parts. The result is the smaller count of
         two consecutive searches. For a photograph, the result is the count of one search."""
         if self._vision.catalogue is not None:
             # parts with taught types are recognised by comparison with the bare plate, not by this
             # search
             return
-        taken, things, _ = self._counts()
+        part_count, things, _ = self._part_count_and_overlooked()
         vision, place = self._vision, [track.position for track in self._tracker.found]
         known_px = vision.calibration.to_image(np.array(place).reshape(-1, 2))
         known_px = np.vstack([known_px, np.column_stack([things["x_px"], things["y_px"]])])
         radius_px = vision.options.radius_px
         margin_px = self._rig.limits.stroke_m * radius_px / vision.radius
         found, contrast = faint_patches(image, vision.region, radius_px, known_px, margin_px)
-        alone = self.options.photographs
-        count = len(found) if alone else min(len(found), self._faint_count)
-        self._faint = faint_finding(count, contrast, taken)
+        is_photograph = self.options.photographs
+        count = len(found) if is_photograph else min(len(found), self._faint_count)
+        self._faint = faint_finding(count, contrast, part_count)
         self._faint_count, self._faint_at = len(found), stamp
 
-    def _note_overlooked(self) -> list[OverlookedThing]:
+    def _record_overlooked(self) -> list[OverlookedThing]:
         """Record the objects that are rejected as parts. Return these objects with their values in
         metres."""
-        taken, things, radius = self._counts()
-        self._tally.overlooked.add(taken, things, radius)
+        part_count, things, radius = self._part_count_and_overlooked()
+        self._tally.overlooked.add(part_count, things, radius)
         columns = (things["x"], things["y"], radius, things["reason"])
         rows = zip(*(column.tolist() for column in columns), strict=True)
         return [OverlookedThing(*row) for row in rows]
 
-    def _counts(self) -> tuple[int, np.ndarray, np.ndarray]:
+    def _part_count_and_overlooked(self) -> tuple[int, np.ndarray, np.ndarray]:
         """Return the number of parts in the last image, and the objects (n,) OVERLOOKED that are
         rejected as parts, with their radii (n,) [m]. Shadows and edges of round parts are not
         included."""
         things = self._tracker.overlooked
         scale = self._vision.calibration.scale(np.column_stack([things["x"], things["y"]]))
         radius = things["radius_px"] / scale
-        taken = [track.position for track in self._tracker.found if track.label not in NAMELESS]
+        part_places = [
+            track.position for track in self._tracker.found if track.label not in NAMELESS
+        ]
         if self._vision.catalogue is None:
-            centre = np.array(taken).reshape(-1, 2)
-            beside = beside_parts(things, radius, self._vision.radius, centre)
+            centre = np.array(part_places).reshape(-1, 2)
+            beside = is_separate_object(things, radius, self._vision.radius, centre)
             things, radius = things[beside], radius[beside]
-        return len(taken), things, radius
+        return len(part_places), things, radius
 
-    def _note_ids(self) -> None:
+    def _log_id_changes(self) -> None:
         """Log the ids that the tracker removed or renamed in the last image."""
         given_up, renamed = self._tracker.given_up, self._tracker.renamed
         if given_up:
@@ -663,10 +665,10 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             self.get_logger().info(f"lost after {images} images: {', '.join(given_up)}")
         for before, now in renamed:
             self.get_logger().info(f"{before} has changed its class: its id is now {now}")
-        self._given_up += len(given_up)
-        self._renamed += len(renamed)
+        self._given_up_count += len(given_up)
+        self._renamed_count += len(renamed)
 
-    def _draw(self, image: np.ndarray) -> np.ndarray:
+    def _draw_detections(self, image: np.ndarray) -> np.ndarray:
         parts, calibration = self._tracker.parts, self._vision.calibration
         return draw_detections(
             image,
@@ -678,7 +680,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             outlines_px(self._rig.types, parts.ids, parts.position, parts.angle, calibration),
         )
 
-    def _scene(self, stamp: Time) -> MarkerArray:
+    def _make_markers(self, stamp: Time) -> MarkerArray:
         parts = self._tracker.parts
         self._trails = {
             track.id: self._trails.get(track.id, deque(maxlen=TRAIL))
@@ -689,19 +691,19 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         pose = None if self._location is None else self._location.pose
         return scene_to_msg(self._rig, parts, self._trails, HOME if pose is None else pose, stamp)
 
-    def _unknown_location(self) -> PlateLocation | None:
+    def _initial_location(self) -> PlateLocation | None:
         """Return the initial location of a plate with markers, without a pose. Return None if the
         plate has no markers."""
         has_markers = self._rig.fiducials is not None
         return PlateLocation(self._rig, self._lens) if has_markers else None
 
-    def _find_plate(self, location: PlateLocation, image: np.ndarray, stamp: Time) -> np.ndarray:
+    def _locate_plate(self, location: PlateLocation, image: np.ndarray, stamp: Time) -> np.ndarray:
         """Locate the plate by its markers. Return the image without the markers."""
         found = location.home is None
         location, self._vision, image = follow_plate(location, self._vision, image)
         self._location = location
         if found:
-            self._place_camera()
+            self._publish_camera_pose()
         if location.pose is not None:
             self._poses.publish(pose_to_msg(location.pose, stamp))
             self._transforms.publish(plate_to_msg(location.pose, stamp))
@@ -710,7 +712,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             self._tally.problem = location.problem
         return image
 
-    def _place_camera(self) -> None:
+    def _publish_camera_pose(self) -> None:
         """Publish the camera's pose, if its lens is known."""
         lens = self._lens or rig_lens(self._rig)
         if lens is not None:
@@ -722,13 +724,13 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         next image."""
         response.message = f"{len(self._tracker.tracks)} parts forgotten"
         self._tracker, self._expected = Tracker(self._tracker.options), None
-        self._location = self._unknown_location()
+        self._location = self._initial_location()
         self._outline = None
         response.success = True
         self.get_logger().info(response.message)
         return response
 
-    def _find(self, now: float) -> Finding:
+    def _diagnose(self, now: float) -> Finding:
         """Return the worst finding of the images since the last report (see
         `plate_core.status`)."""
         tally = self._tally
@@ -750,7 +752,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             return worst(findings, f"waiting for images on {self._input.topic}")
         return worst(findings, "all images used")
 
-    def _values(self) -> Mapping[str, object]:
+    def _diagnostic_values(self) -> Mapping[str, object]:
         now, tally = time.monotonic(), self._tally
         took = tally.detection_ms
         return {
@@ -761,8 +763,8 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             "parts_seen": len(self._tracker.parts),
             **tally.overlooked_lately.values(),
             "faint_patches": self._faint_count,
-            "ids_given_up": self._given_up,
-            "ids_renamed": self._renamed,
+            "ids_given_up": self._given_up_count,
+            "ids_renamed": self._renamed_count,
             "plate_outline": "" if self._outline is None else self._outline.text,
             "detection_ms_median": f"{np.median(took):.2f}" if took else "0",
             "detection_ms_max": f"{max(took):.2f}" if took else "0",
@@ -791,9 +793,9 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             self._vision = replace(known, background=self._vision.background)
             self._lens = lens
             self._outline = None
-            self._location = self._unknown_location()
+            self._location = self._initial_location()
             if self._location is None:
-                self._place_camera()
+                self._publish_camera_pose()
             self._lens_problem = ""
         except PlateError as error:
             self._lens_problem = f"camera_info ignored: {error}"

@@ -121,10 +121,10 @@ def may_be_parts(
     area = (radius / part_radius) ** 2
     size = (PLAUSIBLE_AREA[0] <= area) & (area <= PLAUSIBLE_AREA[1])
     on_plate = np.all(np.abs(place) <= inner, axis=1)
-    return np.asarray(size & on_plate & beside_parts(things, radius, part_radius, centre))
+    return np.asarray(size & on_plate & is_separate_object(things, radius, part_radius, centre))
 
 
-def beside_parts(
+def is_separate_object(
     things: np.ndarray, radius: np.ndarray, part_radius: float, centre: np.ndarray
 ) -> np.ndarray:
     """Return which objects (n,) OVERLOOKED do not belong to a detected part. The parameters are as
@@ -134,7 +134,7 @@ def beside_parts(
     return np.asarray(np.all(away >= APART * (radius + part_radius)[:, None], axis=1))
 
 
-def unnamed_things(
+def unnamed_objects(
     seen: np.ndarray, on_plate: np.ndarray, radius: np.ndarray, smallest: float, largest: float
 ) -> np.ndarray:
     """Return those detections that have no type as objects (k,) OVERLOOKED.

@@ -2,10 +2,10 @@
 types, and measure them.
 
 The image is divided into patches that differ from the bare plate (`segment`). Each patch is
-compared with the catalogue of types (`recognise_under`), and groups of touching parts are separated
-(`explain_groups`). The length of the shadows is estimated from the types. If the segmentation used
-another length of the shadows, the segmentation is repeated. Output: records of the type
-`DETECTED_OBJECT`, one for each object.
+compared with the catalogue of types (`recognise_in_conditions`), and groups of touching parts are
+separated (`explain_groups`). The length of the shadows is estimated from the types. If the
+segmentation used another length of the shadows, the segmentation is repeated. Output: records of
+the type `DETECTED_OBJECT`, one for each object.
 """
 
 from __future__ import annotations
@@ -25,9 +25,16 @@ from .shapes import Background, model_background
 from .shapes.background import colours
 from .shapes.blur import is_blurred
 from .shapes.catalogue import Catalogue, make_catalogue
-from .shapes.classes import MIN_NAMED, UNKNOWN, Conditions, is_named, recognise, recognise_under
+from .shapes.classes import (
+    MIN_NAMED,
+    UNKNOWN,
+    Conditions,
+    is_named,
+    recognise,
+    recognise_in_conditions,
+)
 from .shapes.groups import explain_groups
-from .shapes.heights import seen_shift
+from .shapes.heights import apparent_shift
 from .shapes.patch import Patch
 from .shapes.segmentation import Segments, segment
 from .shapes.shadows import Lamp
@@ -110,10 +117,10 @@ def find_types(
 ) -> np.ndarray:
     """Find parts of taught types on the plate. Return the records (n,) `DETECTED_OBJECT` of the
     parts."""
-    return find_types_under(image, catalogue, background, calibration, region)[0]
+    return find_types_and_lamp(image, catalogue, background, calibration, region)[0]
 
 
-def find_types_under(
+def find_types_and_lamp(
     image: np.ndarray,
     catalogue: Catalogue,
     background: Background,
@@ -128,13 +135,15 @@ def find_types_under(
     used if the direction of the light is not visible in this image, for example because parts
     touch. The previous lamp is not used if more parts are recognised without it.
     """
-    rise = _rise_of(catalogue, calibration)
+    rise = _top_shift_function(catalogue, calibration)
 
     def attempt(lamps: bool, lamp: Lamp | None = None) -> _Seen:
         segments = segment(image, background, region, lamps, lamp, rise)
         conditions = Conditions(segments.lamp, background)
         patches = segments.patches
-        return _Seen(segments, *recognise_under(image, patches, catalogue, calibration, conditions))
+        return _Seen(
+            segments, *recognise_in_conditions(image, patches, catalogue, calibration, conditions)
+        )
 
     seen = attempt(background.learned)
     if before is not None and (seen.lamp is None or not seen.agrees):
@@ -154,7 +163,7 @@ def find_types_under(
         # these areas again without removing shadows.
         more = segment(image, background, region, whole=whole).patches
         again = recognise(image, more, catalogue, calibration, seen.conditions)
-        patches, found = _joined(patches, found, more, again)
+        patches, found = _merge_recognitions(patches, found, more, again)
     found = explain_groups(image, patches, found, catalogue, calibration, seen.conditions)
     if is_blurred(image, seen.segments.patches):
         named = is_named(found)
@@ -162,7 +171,7 @@ def find_types_under(
     return found, seen.lamp
 
 
-def _joined(
+def _merge_recognitions(
     patches: list[Patch], found: np.ndarray, more: list[Patch], again: np.ndarray
 ) -> tuple[list[Patch], np.ndarray]:
     """Merge the results of two recognitions. `found` (m,) DETECTED_OBJECT are the records of
@@ -213,7 +222,7 @@ class _Seen:
         return abs(length - first) <= max(SAME_LENGTH * first, SAME_LENGTH_PX)
 
 
-def _rise_of(
+def _top_shift_function(
     catalogue: Catalogue, calibration: Calibration
 ) -> Callable[[np.ndarray], np.ndarray] | None:
     """Return a function that computes how far the height of the highest parts shifts their tops in
@@ -223,11 +232,11 @@ def _rise_of(
     if place is None or height == 0:
         return None
 
-    def rise(point_px: np.ndarray) -> np.ndarray:
+    def top_shift(point_px: np.ndarray) -> np.ndarray:
         point = calibration.to_home(point_px)
-        return calibration.to_image(point + seen_shift(place, point, height)) - point_px
+        return calibration.to_image(point + apparent_shift(place, point, height)) - point_px
 
-    return rise
+    return top_shift
 
 
 def model_plate(image: np.ndarray, region: Region) -> Background:

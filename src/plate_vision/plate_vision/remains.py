@@ -2,7 +2,7 @@
 part.
 
 The detector searches the remains for parts that are not simply darker than the plate. Objects in
-the remains that are not accepted as parts become overlooked objects (`overlooked_things`). Each
+the remains that are not accepted as parts become overlooked objects (`overlooked_objects`). Each
 overlooked object has a reason why it is not a part.
 """
 
@@ -16,10 +16,10 @@ import numpy as np
 
 from . import _kernels
 from .discs import COARSE_RADIUS_PX
-from .discs.silhouette import numbers
+from .discs.silhouette import silhouette_rows
 from .overlooked import NONE_OVERLOOKED, OVERLOOKED
 from .plate import LitPlate, Region
-from .plate.contrast import Channels, find_odd
+from .plate.contrast import Channels, find_deviating_pixels
 
 COARSE_STEP = 2
 """Step between the rows and columns of the grid that the first, fast check evaluates. The check
@@ -69,10 +69,10 @@ def find_remains(
     `min_radius_px` is the smallest radius of a part [px]."""
     x0, y0 = region.box[:2]
     stride = max(1, int(min_radius_px / COARSE_RADIUS_PX))
-    shapes = numbers(parts)
+    shapes = silhouette_rows(parts)
     coarse, counts = (
         (x0, y0, COARSE_STEP * stride),
-        _deep(region, COARSE_STEP * stride, min_radius_px),
+        _inner_pixels(region, COARSE_STEP * stride, min_radius_px),
     )
     if counts.size == 0:
         return None
@@ -81,20 +81,20 @@ def find_remains(
         return None
     outside = region.outside(stride)
     grid = (x0, y0, stride)
-    odd = find_odd(channels, limit, grid, outside.shape)
+    odd = find_deviating_pixels(channels, limit, grid, outside.shape)
     odd[outside] = 0
     _kernels.clear_parts(odd, grid, centre, shapes)
     return Remains(odd, outside, grid)
 
 
-def without(remains: Remains, centre: np.ndarray, parts: np.ndarray) -> Remains:
+def remove_parts(remains: Remains, centre: np.ndarray, parts: np.ndarray) -> Remains:
     """Remove parts at places (n, 2) [px] with silhouettes (n,) SILHOUETTE from the remains."""
     odd = remains.odd.copy()
-    _kernels.clear_parts(odd, remains.grid, centre, numbers(parts))
+    _kernels.clear_parts(odd, remains.grid, centre, silhouette_rows(parts))
     return remains._replace(odd=odd)
 
 
-def solid(remains: Remains, radius_px: float) -> Remains:
+def clean_remains(remains: Remains, radius_px: float) -> Remains:
     """Remove specks from the remains, and fill small enclosed areas, which are highlights and holes
     of parts. `radius_px` is the radius of a part [px]."""
     stride = remains.grid[2]
@@ -115,7 +115,7 @@ def solid(remains: Remains, radius_px: float) -> Remains:
     return remains._replace(odd=odd)
 
 
-def overlooked_things(
+def overlooked_objects(
     remains: Remains, region: Region, radius_px: float, faint: float, contrast: LitPlate
 ) -> np.ndarray:
     """Return the objects (n,) OVERLOOKED of the remains. The fields x and y of the objects are not
@@ -160,7 +160,7 @@ def overlooked_things(
 
 
 @lru_cache(maxsize=4)
-def _deep(region: Region, stride: int, radius_px: float) -> np.ndarray:
+def _inner_pixels(region: Region, stride: int, radius_px: float) -> np.ndarray:
     """Return which pixels (h, w) bool of the grid are inside the plate, at least a radius [px] from
     its edge. Pixels nearer to the edge may show the edge of a plate that is not at home."""
     x0, y0, x1, y1 = region.box

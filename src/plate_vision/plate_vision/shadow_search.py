@@ -109,7 +109,7 @@ def find_shadow(
 
     `contrast` is the `contrast_image`, and `remains` contains all objects on the plate.
     """
-    found = _capsules(remains, silhouettes)
+    found = _find_elongated_objects(remains, silhouettes)
     if found is None:
         return None
     middle, parts, length_px, direction = found
@@ -118,45 +118,45 @@ def find_shadow(
     offset_m = np.median(offsets_m, axis=0)
     plain = float(np.mean(np.minimum(fit_discs(contrast, middle, parts)["misfit"], WORST)))
 
-    def fitted(shadow: Shadow) -> np.ndarray:
+    def fit_parts(shadow: Shadow) -> np.ndarray:
         offset = np.linalg.solve(
             slopes, np.broadcast_to(shadow.offset_m[:, None], (len(slopes), 2, 1))
         )
         seeds = np.ascontiguousarray(middle - 0.5 * offset[:, :, 0])
         return fit_discs(contrast, seeds, parts, shadow)
 
-    def misfit(shadow: Shadow) -> float:
+    def mean_misfit(shadow: Shadow) -> float:
         """Return the mean misfit of the contours with a shadow."""
-        return float(np.mean(np.minimum(fitted(shadow)["misfit"], WORST)))
+        return float(np.mean(np.minimum(fit_parts(shadow)["misfit"], WORST)))
 
-    def whole_misfit(shadow: Shadow) -> float:
+    def misfit_along_shadow(shadow: Shadow) -> float:
         """Return the mean misfit of the contours, plus the deviation of the darkness along the
         shadows. The darkness is only evaluated if the shadows are at least as long as a part's
         radius. Such shadows could be mistaken for parts."""
-        discs = fitted(shadow)
-        steps, levels = _along(contrast, shadow, discs, parts)
-        length = _length(shadow, discs, parts)
+        discs = fit_parts(shadow)
+        steps, levels = _darkness_profiles(contrast, shadow, discs, parts)
+        length = _median_length(shadow, discs, parts)
         inner = (steps > INNER_PX) & (steps < length - shadow.edge_px)
         if length < np.median(parts["radius_px"]) or not np.any(inner):
-            return misfit(shadow)
+            return mean_misfit(shadow)
         odd = np.median(np.abs(levels[:, inner] - shadow.darkness), axis=1)
         return float(np.mean(np.minimum(discs["misfit"] + odd, WORST)))
 
-    def improved(shadow: Shadow) -> Shadow:
+    def search_grid(shadow: Shadow) -> Shadow:
         """Return the shadow with the best darkness and edge of the grid search, and with its
         measured length."""
         tried = (
             replace(shadow, darkness=float(darkness), edge_px=edge_px)
             for darkness, edge_px in product(DARKNESS, EDGES_PX)
         )
-        best = min(tried, key=misfit)
-        return _measured(contrast, best, fitted(best), parts)
+        best = min(tried, key=mean_misfit)
+        return _measure_shadow_length(contrast, best, fit_parts(best), parts)
 
-    def refined(shadow: Shadow) -> tuple[float, Shadow]:
+    def refine_shadow(shadow: Shadow) -> tuple[float, Shadow]:
         """Return the misfit of the best shadow that is similar to the given shadow, and this best
         shadow."""
 
-        def at(change: np.ndarray) -> Shadow:
+        def changed_shadow(change: np.ndarray) -> Shadow:
             return Shadow(
                 calibration,
                 shadow.offset_m + 1e-3 * change[:2],
@@ -165,34 +165,36 @@ def find_shadow(
             )
 
         best = minimize(
-            lambda change: misfit(at(change)), np.zeros(4), method="Nelder-Mead",
+            lambda change: mean_misfit(changed_shadow(change)), np.zeros(4), method="Nelder-Mead",
             options={"initial_simplex": SIMPLEX, "maxfev": TRIES},
         )  # fmt: skip
-        there = at(best.x)
-        return whole_misfit(_measured(contrast, there, fitted(there), parts)), there
+        there = changed_shadow(best.x)
+        return misfit_along_shadow(
+            _measure_shadow_length(contrast, there, fit_parts(there), parts)
+        ), there
 
     refinements = []
     for sense in (1, -1):
         shadow = Shadow(calibration, sense * offset_m, 0.5, 1.0)
         for _ in range(ROUNDS):
-            shadow = improved(shadow)
-        refinements.append(refined(shadow))
+            shadow = search_grid(shadow)
+        refinements.append(refine_shadow(shadow))
     (whole, best), (other, reverse) = sorted(refinements, key=lambda one: one[0])
-    left = misfit(best)
+    left = mean_misfit(best)
     one_sense = best.offset_m @ reverse.offset_m > 0 or whole < SURE * other
     if not one_sense or left > GOOD_FIT or left > BETTER * plain:
         return None
     # If most parts are about as dark as their shadows, parts and shadows cannot be distinguished.
     # In this case, the sign of the shadow's direction is unknown.
-    unlike = np.abs(fitted(best)["darkness"] - best.darkness) > UNLIKE
+    unlike = np.abs(fit_parts(best)["darkness"] - best.darkness) > UNLIKE
     if np.count_nonzero(unlike) < UNLIKE_FRACTION * len(unlike):
         return None
     # The misfit evaluates only pixels near the contours of the discs. A long shadow ends far from
     # the contours, so its length is measured along the shadow. If the misfit with the measured
     # length is too large, the shadow is short. For a short shadow, the fitted length is used.
-    measured = _measured(contrast, best, fitted(best), parts)
+    measured = _measure_shadow_length(contrast, best, fit_parts(best), parts)
 
-    def darkened(change: np.ndarray) -> Shadow:
+    def adjusted_shadow(change: np.ndarray) -> Shadow:
         return replace(
             measured,
             darkness=float(np.clip(measured.darkness + 0.1 * change[0], *DARKEST)),
@@ -200,13 +202,13 @@ def find_shadow(
         )
 
     result = minimize(
-        lambda change: misfit(darkened(change)), np.zeros(2), method="Nelder-Mead",
+        lambda change: mean_misfit(adjusted_shadow(change)), np.zeros(2), method="Nelder-Mead",
         options={"initial_simplex": SIMPLEX[:3, :2], "maxfev": TRIES // 2},
     )  # fmt: skip
-    return darkened(result.x) if result.fun < max(EQUAL * left, GOOD_FIT) else best
+    return adjusted_shadow(result.x) if result.fun < max(EQUAL * left, GOOD_FIT) else best
 
 
-def _capsules(
+def _find_elongated_objects(
     remains: Remains, silhouettes: Silhouettes
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
     """Return four arrays about the objects that are elongated in one common direction. The first
@@ -241,7 +243,7 @@ def _capsules(
     mean = unit.mean(axis=0)
     if np.hypot(*mean) < ALIGNED:
         return None
-    length = np.interp(much, _flatness(RATIOS), RATIOS) * radius[rows]
+    length = np.interp(much, _capsule_flatness(RATIOS), RATIOS) * radius[rows]
     if np.median(length / radius[rows]) < MIN_LENGTH:
         return None
     angles = 0.5 * np.arctan2(unit[:, 1], unit[:, 0])
@@ -251,21 +253,25 @@ def _capsules(
     return middle[rows], parts[rows], length, direction * sense[:, None]
 
 
-def _measured(contrast: LitPlate, shadow: Shadow, discs: np.ndarray, parts: np.ndarray) -> Shadow:
+def _measure_shadow_length(
+    contrast: LitPlate, shadow: Shadow, discs: np.ndarray, parts: np.ndarray
+) -> Shadow:
     """Return the shadow with its measured length. The shadow ends where the median darkness over
     the discs (n,) DISC falls to half of the shadow's darkness."""
-    steps, levels = _along(contrast, shadow, discs, parts)
+    steps, levels = _darkness_profiles(contrast, shadow, discs, parts)
     light = np.flatnonzero(np.median(levels, axis=0) < 0.5 * shadow.darkness)
     end = steps[light[0]] if len(light) else steps[-1]
-    return replace(shadow, offset_m=shadow.offset_m * max(end, 1.0) / _length(shadow, discs, parts))
+    return replace(
+        shadow, offset_m=shadow.offset_m * max(end, 1.0) / _median_length(shadow, discs, parts)
+    )
 
 
-def _along(
+def _darkness_profiles(
     contrast: LitPlate, shadow: Shadow, discs: np.ndarray, parts: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return distances (k,) [px] from the edges of the discs (n,) DISC along their shadows, and the
     darkness (n, k) of the image at these distances."""
-    centre, ends = _ends(shadow, discs, parts)
+    centre, ends = _shadow_displacements(shadow, discs, parts)
     length = np.maximum(np.hypot(*ends.T), 1e-6)
     radius = float(np.median(discs["radius_px"]))
     steps = np.arange(0, (RATIOS[-1] - 1) * radius, PROFILE_PX)
@@ -276,20 +282,22 @@ def _along(
     return steps, 1 - levels / contrast.light[0]
 
 
-def _length(shadow: Shadow, discs: np.ndarray, parts: np.ndarray) -> float:
+def _median_length(shadow: Shadow, discs: np.ndarray, parts: np.ndarray) -> float:
     """Return the median length of the shadows in the image [px]."""
-    _, ends = _ends(shadow, discs, parts)
+    _, ends = _shadow_displacements(shadow, discs, parts)
     return max(float(np.median(np.hypot(*ends.T))), 1e-6)
 
 
-def _ends(shadow: Shadow, discs: np.ndarray, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _shadow_displacements(
+    shadow: Shadow, discs: np.ndarray, parts: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the centres (n, 2) of the discs, and the displacements (n, 2) of their shadows
     [px]."""
     centre = np.stack([discs["x_px"], discs["y_px"]], axis=1)
     return centre, to_image(parts, shadow.cast(centre, parts))
 
 
-def _flatness(length: np.ndarray) -> np.ndarray:
+def _capsule_flatness(length: np.ndarray) -> np.ndarray:
     """Return the flatness (Ia - Ib) / (Ia + Ib) of capsules with radius 1 and lengths L (n,). Ia
     and Ib are the second moments along and across the length:
 

@@ -19,10 +19,10 @@ from .camera.lens import Calibration, Lens, calibrate_by_rig
 from .detection import DetectorOptions, PartView, find_discs
 from .discs import SeenDiscs, outlines
 from .errors import check_size
-from .overlooked import OVERLOOKED, may_be_parts, unnamed_things
+from .overlooked import OVERLOOKED, may_be_parts, unnamed_objects
 from .plate.home import PlateLocation, locate_plate
 from .plate.region import Region, make_region
-from .recognition import find_types_under, model_plate
+from .recognition import find_types_and_lamp, model_plate
 from .shapes import Background
 from .shapes.catalogue import Catalogue, make_catalogue
 from .shapes.classes import UNKNOWN, is_named
@@ -206,8 +206,8 @@ def observe(
     centre = vision.calibration.disc_centres(
         places[:, None] + outlines(discs.parts, found["radius_px"])
     )
-    angle = _angles(vision, found, places)
-    quality = _quality(vision, found, places, centre)
+    angle = _part_angles(vision, found, places)
+    quality = _detection_quality(vision, found, places, centre)
     things, label = discs.overlooked, found["label"]
     if len(things):
         things = things.copy()
@@ -234,7 +234,7 @@ def observe(
         return tracker
     uncertain = tracker.uncertain + 1 if discs.uncertain and discs.shadow is None else 0
     after = replace(after, shadow=discs.shadow, uncertain=uncertain)
-    return _with_unsettled(vision, after)
+    return _add_unsettled(vision, after)
 
 
 def _observe_types(
@@ -249,7 +249,7 @@ def _observe_types(
     bare = vision.background
     if bare is None:
         bare = model_plate(image, vision.region)
-    seen, lamp = find_types_under(
+    seen, lamp = find_types_and_lamp(
         image, catalogue, bare, vision.calibration, vision.region, tracker.lamp
     )
     named = is_named(seen)
@@ -258,7 +258,7 @@ def _observe_types(
     min_area = SPECK * np.min(catalogue.area)
     on_plate = np.all(np.abs(centre) <= vision.inner, axis=1)
     limits = np.sqrt(np.array([min_area, PLAUSIBLE_AREA[1] * np.max(catalogue.area)]) / np.pi)
-    things = unnamed_things(seen, on_plate, seen["radius_px"] / scale, *limits)
+    things = unnamed_objects(seen, on_plate, seen["radius_px"] / scale, *limits)
     kept = named | (on_plate & (np.pi * (seen["radius_px"] / scale) ** 2 > min_area))
     seen, named, centre, scale = seen[kept], named[kept], centre[kept], scale[kept]
     symmetries = {one.part.name: one.part.symmetry for one in catalogue.templates}
@@ -270,10 +270,10 @@ def _observe_types(
     after = update(
         tracker, stamp, centre, seen["label"], seen["angle"], quality, symmetry, expected, things
     )
-    return after if after is tracker else _with_unsettled(vision, replace(after, lamp=lamp))
+    return after if after is tracker else _add_unsettled(vision, replace(after, lamp=lamp))
 
 
-def _with_unsettled(vision: Vision, tracker: Tracker) -> Tracker:
+def _add_unsettled(vision: Vision, tracker: Tracker) -> Tracker:
     """Add unsettled objects to the overlooked objects. The newest detection of an unsettled object
     has a class. The object's track has no class yet, because earlier images did not show the object
     as a part."""
@@ -315,7 +315,7 @@ def follow_plate(
     return now, vision, image
 
 
-def _angles(vision: Vision, found: np.ndarray, centre_px: np.ndarray) -> np.ndarray:
+def _part_angles(vision: Vision, found: np.ndarray, centre_px: np.ndarray) -> np.ndarray:
     """Return the angles (n,) [rad, plate_home] of parts `found` (n,) DETECTION. The angle of a part
     without a mark is 0."""
     angle = found["angle_rad"]
@@ -327,7 +327,7 @@ def _angles(vision: Vision, found: np.ndarray, centre_px: np.ndarray) -> np.ndar
     return np.where(angle != 0, np.arctan2(dy, dx), 0.0)
 
 
-def _quality(
+def _detection_quality(
     vision: Vision, found: np.ndarray, centre_px: np.ndarray, centre: np.ndarray
 ) -> np.ndarray:
     """Return the quality of the detections (n, 3) (see `Tracker.quality`). If a part is not

@@ -15,10 +15,10 @@ from plate_vision.aiming import (
     Focus,
     edge_blur_px,
     light_finding,
-    light_on_plate,
+    measure_light,
+    measure_sharpness,
     outline_finding,
     outline_px,
-    sharpness_of,
     size_finding,
 )
 from plate_vision.camera import Board, draw_board
@@ -61,22 +61,24 @@ def field():
 
 def test_sharpness_falls_with_defocus_and_not_with_light(field):
     image = picture()
-    sharp = sharpness_of(image, field)
-    blurred = [sharpness_of(cv2.GaussianBlur(image, (0, 0), s), field) for s in (1, 2, 4)]
+    sharp = measure_sharpness(image, field)
+    blurred = [measure_sharpness(cv2.GaussianBlur(image, (0, 0), s), field) for s in (1, 2, 4)]
     assert sharp > 1.08 * blurred[0] > 1.2 * blurred[1] > 1.5 * blurred[2]
-    darker = sharpness_of((image * 0.6).astype(np.uint8), field)
+    darker = measure_sharpness((image * 0.6).astype(np.uint8), field)
     assert darker == pytest.approx(sharp, rel=0.02)
     bare = picture(parts=[])
-    assert sharpness_of(bare, field) > 1.4 * sharpness_of(cv2.GaussianBlur(bare, (0, 0), 3), field)
+    assert measure_sharpness(bare, field) > 1.4 * measure_sharpness(
+        cv2.GaussianBlur(bare, (0, 0), 3), field
+    )
 
 
 def test_a_covered_lens_has_no_sharpness(field):
     rng = np.random.default_rng(1)
     covered = np.clip(rng.normal(12, 2, (480, 640)), 0, 255).astype(np.uint8)
-    found = Focus().add(1.0, sharpness_of(covered, field)).finding
+    found = Focus().add(1.0, measure_sharpness(covered, field)).finding
     assert found.level == Level.ERROR
     assert "covered" in found.message
-    light = light_finding(covered, light_on_plate(covered, field), field)
+    light = light_finding(covered, measure_light(covered, field), field)
     assert light.level == Level.ERROR
     assert "check that the light is on and the lens is open" in light.message
     seen_px, outline = outline_of(covered, field)
@@ -152,14 +154,14 @@ def test_the_blur_of_the_plates_edges(view):
 
 def test_light_and_clipping_of_the_plate_alone(field):
     image = picture(parts=[], noise=0.0)
-    light = light_on_plate(image, field)
+    light = measure_light(image, field)
     assert light.histogram.argmax() == PLATE // 4
     assert light.histogram.sum() == pytest.approx(np.count_nonzero(field.plate), abs=1)
     assert light.black == light.white == 0
     lamp = np.dstack([image] * 3)
     x, y = np.rint(VIEW.see(np.zeros((1, 2)))[0]).astype(int)
     lamp[y - 40 : y + 40, x - 40 : x + 40, 2] = 255  # one channel is enough
-    light = light_on_plate(lamp, field)
+    light = measure_light(lamp, field)
     assert light.white == pytest.approx(80 * 80 / np.count_nonzero(field.plate), rel=0.01)
     assert light.black == 0
     found = light_finding(lamp, light, field)
@@ -167,7 +169,7 @@ def test_light_and_clipping_of_the_plate_alone(field):
     assert "clipped at 255" in found.message
     dark = np.clip(picture(parts=[]).astype(int) - 150, 0, 255).astype(np.uint8)
     dark[y - 40 : y + 40, x - 40 : x + 40] = 0
-    assert light_on_plate(dark, field).black > 0.03
+    assert measure_light(dark, field).black > 0.03
 
 
 def test_the_outline_where_it_is_expected_and_where_it_is_not(field):

@@ -8,7 +8,7 @@ import pytest
 
 from plate_vision import CalibrationError, Lens
 from plate_vision.camera import Board, draw_board, find_board, fit_lens
-from plate_vision.camera.boards import choose
+from plate_vision.camera.boards import choose_pictures
 
 MATRIX = np.array([[620.0, 0, 331.0], [0, 610.0, 236.0], [0, 0, 1]])
 BENT = [-0.22, 0.06, 0.0008, -0.0006, 0.0]
@@ -181,11 +181,11 @@ def test_pictures_that_differ_most_are_chosen(rng):
     still = [(which, 60 + 3000 * CHESS.corners + rng.normal(0, 0.1, (48, 2))) for _ in range(200)]
     moved = [(which, 60 + 3000 * CHESS.corners + place) for place in grid]
     seen = [*still, *moved]
-    chosen = choose(seen, CHESS, 12)
+    chosen = choose_pictures(seen, CHESS, 12)
     assert len(chosen) == len(set(chosen)) == 12
     assert set(chosen) >= set(range(201, 209))
-    assert choose(seen[:40], CHESS) == list(range(40))
-    assert len(choose(seen, CHESS)) == 40
+    assert choose_pictures(seen[:40], CHESS) == list(range(40))
+    assert len(choose_pictures(seen, CHESS)) == 40
 
 
 def test_boards_are_those_of_opencv():

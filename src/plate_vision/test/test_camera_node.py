@@ -204,7 +204,7 @@ def test_an_unplugged_camera_is_named_and_goes_on_when_it_is_back(start, camera)
     graph.report("is unplugged; images continue when it is back")
     camera.plug()
     shown(graph, camera)
-    assert "unplugged" not in graph.camera._find(time.monotonic()).message
+    assert "unplugged" not in graph.camera._diagnose(time.monotonic()).message
     assert [text for text in graph.notes if "video0" in text] == [
         f"{camera.path}: the camera is unplugged; images continue when it is back",
         f"{camera.path}: images continue",

@@ -11,7 +11,7 @@ from plate_core.rig import load_part_types, to_home, to_plate
 from plate_vision import calibrate_by_scale
 from plate_vision.recognition import camera_limits, find_parts, find_types
 from plate_vision.shapes import model_background
-from plate_vision.shapes.catalogue import lay_on, make_catalogue, make_template
+from plate_vision.shapes.catalogue import fit_template, make_catalogue, make_template
 from plate_vision.shapes.outlines import distances, fit_pose, make_outline
 
 TYPES = load_part_types(config_path("parts.yaml"))
@@ -135,7 +135,7 @@ def laid(turn, decoys, weight):
     spectrum = weight * outline.spectrum
     for other, much in decoys.items():
         spectrum = spectrum + much * turned(template, other).spectrum
-    fit = lay_on(template, replace(outline, spectrum=spectrum), 1e3)
+    fit = fit_template(template, replace(outline, spectrum=spectrum), 1e3)
     return abs(np.angle(np.exp(1j * (fit[2] - 2 * np.pi * turn / TURNS)))), fit[4]
 
 
@@ -154,7 +154,7 @@ def test_the_residual_of_a_fit_is_the_mean_of_both_directions():
     template = make_template(TYPES["bracket"])
     x, y = template.outline.points.T
     wavy = to_home(np.array([0.1, -0.05, 0.7]), np.column_stack([x, y + 3e-4 * np.sin(900 * x)]))
-    fit = lay_on(template, make_outline([wavy]), 1e3)
+    fit = fit_template(template, make_outline([wavy]), 1e3)
     samples, outward = np.split(template.samples, 2, axis=1)
     moved = to_home(fit[:3], samples + fit[3] * outward)
     there = shapely.distance(shapely.LinearRing(wavy), shapely.points(moved))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from plate_vision import _kernels
-from plate_vision.shapes.shadows import LIGHTER, find_sides, take_out_shadows
+from plate_vision.shapes.shadows import LIGHTER, find_sides, remove_shadows
 
 HALFWAY, MIN_SEEN, DARKEST, MIN_UNIFORM, DARKER = (0.3, 0.7), 4, 0.45, 12, 0.3
 """As in shadows.hpp."""
@@ -137,7 +137,7 @@ def test_a_patch_of_which_side_faces_are_seen_has_no_shadow(face):
     )
     faces = None if face is None else np.arange(3) == face
     left = away.copy()
-    cut = take_out_shadows(sides, left, labels, faces=faces)
+    cut = remove_shadows(sides, left, labels, faces=faces)
     assert cut.tolist() == [False, face != 1, face != 2]
     for k in (1, 2):
         shade = (labels == k) & (away < 100)

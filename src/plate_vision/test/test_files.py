@@ -13,7 +13,7 @@ from shown_text import says
 from plate_core import RigError, config_path, load_rig
 from plate_vision import CalibrationError, ImageError, Lens, make_vision
 from plate_vision.camera import load_lens, read_pictures, rig_of_picture, save_lens
-from plate_vision.camera.headers import not_turned, read_header
+from plate_vision.camera.headers import read_header, reset_orientation
 
 FILE = """
 image_width: 640
@@ -438,7 +438,7 @@ def test_damaged_headers_are_never_a_crash(rng):
             for place in rng.integers(0, min(len(data), 200), 4):
                 data[place] = rng.choice([0, 1, 127, 128, 255])
             header = read_header(bytes(data))
-            assert header is None or len(not_turned(bytes(data), header)) == len(data)
+            assert header is None or len(reset_orientation(bytes(data), header)) == len(data)
     big = b"II" + struct.pack("<HHHQ", 43, 8, 0, 2**64 - 1)  # a directory beyond all files
     assert read_header(big) is None
 

@@ -16,7 +16,7 @@ from plate_vision.errors import ImageError
 from plate_vision.image_sources import CameraError, Settings, Watch, listing, make_source, played
 from plate_vision.image_sources import v4l2_device as v4l2
 from plate_vision.image_sources.played import FilmSource, PipeSource
-from plate_vision.image_sources.source import unpack_frame
+from plate_vision.image_sources.source import decode_frame
 from plate_vision.image_sources.v4l2 import V4l2Source
 
 GREY = {"GREY": {(64, 48): (30, 60)}}
@@ -207,23 +207,23 @@ def test_an_unplugged_camera_is_named_and_may_come_back(make):
 )
 def test_frames_of_every_format(form, pixels, encoding, value):
     data = np.frombuffer(pixels.tobytes(), np.uint8)[None]
-    found, name = unpack_frame(data, form, (6, 4))
+    found, name = decode_frame(data, form, (6, 4))
     assert name == encoding
     assert found.shape == pixels.shape
     assert np.all(found == value)
     with pytest.raises(ImageError, match="bytes, allowed"):
-        unpack_frame(data[:, :-1], form, (6, 4))
+        decode_frame(data[:, :-1], form, (6, 4))
 
 
 def test_jpeg_frames(make):
     picture = np.full((48, 64, 3), 90, np.uint8)
     data = np.frombuffer(cv2.imencode(".jpg", picture)[1].tobytes(), np.uint8)
-    found, name = unpack_frame(data, "MJPG", (64, 48))
+    found, name = decode_frame(data, "MJPG", (64, 48))
     assert (found.shape, name) == ((48, 64, 3), "bgr8")
     with pytest.raises(ImageError, match="size is 64 x 48 px, allowed: 32 x 24"):
-        unpack_frame(data, "MJPG", (32, 24))
+        decode_frame(data, "MJPG", (32, 24))
     with pytest.raises(ImageError, match=r"200 bytes is incomplete, allowed: a complete file"):
-        unpack_frame(data[:200], "MJPG", (64, 48))
+        decode_frame(data[:200], "MJPG", (64, 48))
 
 
 def test_the_list_shows_formats_sizes_rates_and_controls(tmp_path, monkeypatch):

@@ -6,8 +6,8 @@ import pytest
 
 from plate_core import config_path
 from plate_core.rig import load_part_types
-from plate_vision.overlooked import unnamed_things
-from plate_vision.recognition import calibrate_by_scale, find_types, find_types_under
+from plate_vision.overlooked import unnamed_objects
+from plate_vision.recognition import calibrate_by_scale, find_types, find_types_and_lamp
 from plate_vision.shapes import learn_plate, make_catalogue
 from plate_vision.shapes.classes import is_named
 from plate_vision.shapes.segmentation import segment
@@ -137,16 +137,16 @@ def touching():
 
 def test_the_lamp_shines_on_where_an_image_does_not_show_it(bare, catalogue):
     view = calibrate_by_scale(SCALE)
-    _, lamp = find_types_under(picture(poses(), seed=7, **HALF_LIGHT), catalogue, bare, view)
+    _, lamp = find_types_and_lamp(picture(poses(), seed=7, **HALF_LIGHT), catalogue, bare, view)
     assert lamp is not None
     image = picture(touching(), seed=8, **HALF_LIGHT)
-    _, none = find_types_under(image, catalogue, bare, view)
+    _, none = find_types_and_lamp(image, catalogue, bare, view)
     assert none is None
-    seen, still = find_types_under(image, catalogue, bare, view, None, lamp)
+    seen, still = find_types_and_lamp(image, catalogue, bare, view, None, lamp)
     assert still is lamp
     assert len(seen) == len(touching())
     # Without it, once it is switched off.
-    dark, gone = find_types_under(picture(poses(), seed=9), catalogue, bare, view, None, lamp)
+    dark, gone = find_types_and_lamp(picture(poses(), seed=9), catalogue, bare, view, None, lamp)
     assert gone is None
     assert len(dark) == len(poses())
 
@@ -188,5 +188,5 @@ def test_types_are_not_named_in_a_blurred_image(bare, catalogue):
         cv2.GaussianBlur(again, (0, 0), 3), catalogue, bare, calibrate_by_scale(SCALE)
     )
     assert one["blurred"]
-    things = unnamed_things(np.array([one]), np.ones(1, bool), np.array([9e-3]), 4e-3, 14e-3)
+    things = unnamed_objects(np.array([one]), np.ones(1, bool), np.array([9e-3]), 4e-3, 14e-3)
     assert things["reason"].tolist() == ["blurred"]

@@ -215,7 +215,7 @@ def test_pictures_that_are_discarded_while_they_are_fitted_stay_discarded(graph,
     aiming = graph.detector._aiming
     pictures = Kept(fitted, lambda: setattr(aiming, "_lens", None))
     aiming._lens = job = LensJob(pictures, Board(9, 7, 0.03, 0.022), "plumb_bob")
-    aiming._fit(job)
+    aiming._fit_lens(job)
     assert aiming._lens is None
 
 

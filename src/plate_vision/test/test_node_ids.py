@@ -56,11 +56,11 @@ def test_ids_that_end_are_reported(draw, rng):
         for k, frame in enumerate((both, one, one)):
             graph.answer(image(frame, 1.0 + 0.1 * k))
         assert "lost after 2 images: grey_2" in graph.notes
-        assert graph.detector._values()["ids_given_up"] == 1
+        assert graph.detector._diagnostic_values()["ids_given_up"] == 1
         black = draw(CENTRE_PX[:1], ["black"], rng, radius=7.9)
         for k in range(8):
             graph.answer(image(black, 2.0 + 0.1 * k))
         assert "grey_1 has changed its class: its id is now black_1" in graph.notes
-        assert graph.detector._values()["ids_renamed"] == 1
+        assert graph.detector._diagnostic_values()["ids_renamed"] == 1
     finally:
         graph.close()

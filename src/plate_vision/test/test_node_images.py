@@ -160,14 +160,14 @@ def test_one_late_image_ends_no_ids_but_time_may_restart(graph, draw, rng):
 
 
 def test_two_cameras_on_one_topic_are_reported(graph):
-    assert "image_raw (" not in graph.detector._find(0.0).message
+    assert "image_raw (" not in graph.detector._diagnose(0.0).message
     second = rclpy.create_node("camera_2", namespace="/detector_test")
     try:
         second.create_publisher(Image, "image_raw", IMAGE)
         graph.until(
             lambda: (
                 "2 nodes publish image_raw (camera_2, probe), allowed: one"
-                in graph.detector._find(0.0).message
+                in graph.detector._diagnose(0.0).message
             )
         )
     finally:

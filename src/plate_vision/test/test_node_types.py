@@ -68,7 +68,7 @@ def test_parts_of_taught_types(rig_with_types, draw_types, rng):
         for k in range(5):
             graph.answer(shown([], 1.2 + 0.2 * k))
         assert graph.notes[-1] == "bare plate learned from 5 images"
-        assert graph.detector._find(0.0).level == 0
+        assert graph.detector._diagnose(0.0).level == 0
         found = msg_to_parts(graph.answer(shown(LYING, 3.0)))
         assert np.abs(found.position - parts.position).max() < 1e-4
     finally:
@@ -86,7 +86,7 @@ def test_a_modelled_plate_is_not_learned_by_a_rest(rig_with_types, draw_types, r
             return image(frame if encoding == "bgr8" else frame[:, :, 1], stamp_s, encoding)
 
         def warned():
-            return "estimated" in graph.detector._find(0.0).message
+            return "estimated" in graph.detector._diagnose(0.0).message
 
         graph.images.publish(shown(LYING, 1.0))
         graph.until(lambda: graph.parts)

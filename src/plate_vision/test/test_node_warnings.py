@@ -97,8 +97,8 @@ def test_an_outline_that_is_not_where_corners_px_have_it_is_reported_until_reset
         """Return the diagnostics after these images."""
         for k in range(5):
             graph.answer(image(play(), first + 0.1 * k))
-        status = graph.detector._find(0.0)
-        return status, graph.detector._values()["plate_outline"]
+        status = graph.detector._diagnose(0.0)
+        return status, graph.detector._diagnostic_values()["plate_outline"]
 
     moved = corners_px + [5, -4]
     found, text = status(lambda: draw(CENTRE_PX, LABEL, rng, corners=corners_px), 1.0)
@@ -112,7 +112,7 @@ def test_an_outline_that_is_not_where_corners_px_have_it_is_reported_until_reset
     assert any("the plate's outline" in warning for warning in graph.warnings)
     done = graph.resets.call_async(Trigger.Request())
     graph.until(done.done)
-    assert graph.detector._find(0.0).message == "all images used"
+    assert graph.detector._diagnose(0.0).message == "all images used"
 
 
 @pytest.mark.parametrize(("k1", "text"), [(0.0, "straight"), (-0.2, "bend outwards")])
@@ -141,10 +141,10 @@ def test_faint_patches_are_reported(graph, draw, rng):
 
     for k in range(3):
         assert names(graph.answer(image(draw([], [], rng, extra=faint), 1.0 + 2.1 * k))) == []
-    found = graph.detector._find(0.0)
+    found = graph.detector._diagnose(0.0)
     assert found.level == Level.WARN
     assert says(found.message, "3 faint patches", "contrast")
-    assert graph.detector._values()["faint_patches"] == 3
+    assert graph.detector._diagnostic_values()["faint_patches"] == 3
 
 
 def test_noise_alone_is_no_part(graph, rng):

@@ -6,7 +6,7 @@ from shown_text import says
 
 from plate_core.status import Level
 from plate_vision import OVERLOOKED, REASONS
-from plate_vision.overlooked import Expected, OverlookedTally, may_be_parts, unnamed_things
+from plate_vision.overlooked import Expected, OverlookedTally, may_be_parts, unnamed_objects
 from plate_vision.shapes.classes import DETECTED_OBJECT
 
 DISCS = Expected(8e-3, 8e-3)
@@ -124,7 +124,7 @@ def test_sightings_of_no_type_are_things():
     for row, (label, radius_px, whole) in zip(seen, rows, strict=True):
         row["label"], row["radius_px"], row["whole"], row["x"] = label, radius_px, whole, 0.1
     on_plate = np.array([True] * 6 + [False])
-    found = unnamed_things(seen, on_plate, 1e-3 * seen["radius_px"], 4e-3, 14e-3)
+    found = unnamed_objects(seen, on_plate, 1e-3 * seen["radius_px"], 4e-3, 14e-3)
     assert found["reason"].tolist() == ["misfit", "too small", "too large", "group", "at the edge"]
     assert found["x"].tolist() == [0.1] * 5
     assert found["radius_px"].tolist() == [8, 3, 20, 20, 8]

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from plate_vision.remains import Remains, solid
+from plate_vision.remains import Remains, clean_remains
 
 
 def after(odd, radius_px=4.0, stride=2):
     outside = np.zeros(odd.shape, bool)
-    return solid(Remains(odd, outside, (0, 0, stride)), radius_px).odd
+    return clean_remains(Remains(odd, outside, (0, 0, stride)), radius_px).odd
 
 
 @pytest.mark.parametrize(

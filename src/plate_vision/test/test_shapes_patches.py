@@ -6,7 +6,7 @@ import pytest
 
 from plate_vision import ImageError, detect, make_region
 from plate_vision.shapes import Patch, find_outlines, find_patches, learn_plate, model_background
-from plate_vision.shapes.grouping import pieces_of
+from plate_vision.shapes.grouping import split_into_pieces
 from plate_vision.shapes.outlines import patch_rings
 
 SUB = 8
@@ -308,7 +308,7 @@ def pieces(*patches):
     for shapes in patches:
         cover = np.max([cover_of(shape) for shape in shapes], axis=0).astype(np.float32)
         solids.append((cover > 0.5, cover, np.full((*SIZE, 3), GREY, np.uint8)))
-    found = pieces_of(solids, 30, 8.75, SIZE[0] * SIZE[1])
+    found = split_into_pieces(solids, 30, 8.75, SIZE[0] * SIZE[1])
     for rank, (inside, _, _) in enumerate(solids):  # they share each patch out, whole
         own = [piece.inside for piece in found if piece.rank == rank]
         np.testing.assert_array_equal(np.sum(own, axis=0), inside)

@@ -18,7 +18,14 @@ from plate_vision.recognition import calibrate_by_scale, find_parts
 from plate_vision.shapes import learn_plate
 from plate_vision.shapes.part_files import add_type, save_part_types
 from plate_vision.shapes.teach_parts import main
-from plate_vision.shapes.teaching import Example, apart, check_alike, learn_type, merged, teach
+from plate_vision.shapes.teaching import (
+    Example,
+    check_distinguishable,
+    learn_type,
+    merge_types,
+    teach,
+    type_differences,
+)
 
 from .raycast import Look, cast
 
@@ -50,7 +57,7 @@ def test_what_is_learned_is_the_part_that_was_drawn(draw_types, name):
     assert part.symmetry == true.symmetry
     assert len(part.holes) == len(true.holes)
     assert bool(part.radius_m) == bool(true.radius_m)
-    outlines, sizes, colours = apart(part, true, 1000.0)
+    outlines, sizes, colours = type_differences(part, true, 1000.0)
     assert outlines < 0.25
     assert abs(sizes) < 0.1
     assert colours < 2
@@ -66,7 +73,7 @@ def test_one_example_is_enough_and_grey_levels_will_do(draw_types):
     part = learn_type("bracket", [Example(grey)], HOME).part
     assert part.symmetry == 1
     assert part.colour_lab[1:] == (0, 0)
-    assert apart(part, TYPES["bracket"], 1000.0)[0] < 0.3
+    assert type_differences(part, TYPES["bracket"], 1000.0)[0] < 0.3
 
 
 @pytest.mark.parametrize("rows", [(0.04, -0.04, 0.0), (-0.04, 0.0, 0.04), (0.0, 0.04, -0.04)])
@@ -182,12 +189,12 @@ def test_types_that_look_alike_are_refused_and_may_be_merged(draw_types):
     nut = learn_type("nut", [Example(picture(draw_types, "nut", 10))], HOME).part
     again = learn_type("nut_b", [Example(picture(draw_types, "nut", 11))], HOME).part
     with pytest.raises(TeachError, match=r"types nut_b and nut look alike: .* px, .* sizes"):
-        check_alike(again, {"nut": nut}, HOME)
-    check_alike(nut, {"nut": nut, "washer": TYPES["washer"]}, HOME)
-    one = merged(nut, again)
+        check_distinguishable(again, {"nut": nut}, HOME)
+    check_distinguishable(nut, {"nut": nut, "washer": TYPES["washer"]}, HOME)
+    one = merge_types(nut, again)
     assert one.name == "nut"
     assert one.symmetry == 6
-    assert max(apart(one, other, 1000.0)[0] for other in (nut, again)) < 0.15
+    assert max(type_differences(one, other, 1000.0)[0] for other in (nut, again)) < 0.15
 
 
 def test_no_key_of_a_type_is_lost_where_types_are_written(tmp_path):
@@ -287,8 +294,8 @@ def test_the_program_teaches_lists_renames_merges_and_deletes(folder, capsys):
     assert re.search("warning: example not used: type screw: bare.*: ", said.err)
     main(["bracket", "bracket.png", *rig])
     types = load_part_types("parts.yaml")
-    assert apart(types["screw"], TYPES["screw"], 1000.0)[0] < 0.25
-    assert apart(types["bracket"], TYPES["bracket"], 1000.0)[0] < 0.25
+    assert type_differences(types["screw"], TYPES["screw"], 1000.0)[0] < 0.25
+    assert type_differences(types["bracket"], TYPES["bracket"], 1000.0)[0] < 0.25
     assert cv2.imread("screw_taught.png") is not None
     capsys.readouterr()
     main(["list"])
@@ -308,11 +315,11 @@ def test_parts_are_marked_in_pictures_of_any_size_and_one_scale(tmp_path, monkey
     cv2.imwrite("tray.png", draw_types(TYPES, poses, rng, size_px=SIZE_PX))
     boxes = [f"--box={x - 14},{y - 14},28,28" for x, y in ((60, 60), (130, 100))]
     main(["nut", "tray.png", "--scale", "1", *boxes])
-    assert apart(load_part_types("parts.yaml")["nut"], TYPES["nut"], 1000.0)[0] < 0.3
+    assert type_differences(load_part_types("parts.yaml")["nut"], TYPES["nut"], 1000.0)[0] < 0.3
     cv2.imwrite("one.png", cv2.imread("tray.png")[30:130, 145:215])
     cv2.imwrite("two.png", cv2.imread("tray.png")[20:150, 140:220])
     main(["bar", "one.png", "two.png", "--scale", "1"])
-    assert apart(load_part_types("parts.yaml")["bar"], TYPES["bar"], 1000.0)[0] < 0.3
+    assert type_differences(load_part_types("parts.yaml")["bar"], TYPES["bar"], 1000.0)[0] < 0.3
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 from plate_vision.shapes import find_patches, grouping, learn_plate, segmentation
-from plate_vision.shapes.grouping import Work, pieces_of
+from plate_vision.shapes.grouping import Work, split_into_pieces
 
 SIZE = (240, 320)
 
@@ -35,8 +35,8 @@ def test_a_plate_sized_patch_is_one_group_and_is_not_cut(monkeypatch):
     """As with light that the detector has not followed: most of the plate then differs by more than
     its noise."""
     cuts = []
-    split = grouping.split
-    monkeypatch.setattr(grouping, "split", lambda *a: cuts.append(a[1].size) or split(*a))
+    split = grouping.split_patch
+    monkeypatch.setattr(grouping, "split_patch", lambda *a: cuts.append(a[1].size) or split(*a))
     bare = learn_plate(np.stack([plate(seed) for seed in (1, 2, 3)]))
     found = find_patches(with_discs(plate(7, light=0.93), SPOTS), bare)
     large = [patch for patch in found if patch.area_px2 > 0.5 * SIZE[0] * SIZE[1]]
@@ -63,6 +63,6 @@ def test_pieces_without_work_left_are_groups(monkeypatch):
         cv2.circle(canvas := inside.astype(np.uint8), (x, 30), 14, 1, -1)
         inside |= canvas > 0
     solid = (inside, inside.astype(np.float32), np.full((60, 100, 3), 60, np.uint8))
-    assert len(pieces_of([solid], 30, 8.75, 60 * 100 * 10)) == 3
+    assert len(split_into_pieces([solid], 30, 8.75, 60 * 100 * 10)) == 3
     monkeypatch.setattr(grouping, "WORK", 0.0)
-    assert [piece.group for piece in pieces_of([solid], 30, 8.75, 60 * 100 * 10)] == [True]
+    assert [piece.group for piece in split_into_pieces([solid], 30, 8.75, 60 * 100 * 10)] == [True]

@@ -219,27 +219,29 @@ def find_board(grey: np.ndarray, board: Board, fast: bool = False) -> tuple[Boar
         seen, corners = cv2.findChessboardCorners(grey, size, flags=flags)
         if not seen:
             return board, None
-        return board, (np.arange(len(board.corners)), _refine(grey, corners, board))
+        return board, (np.arange(len(board.corners)), _refine_corners(grey, corners, board))
     found = find_markers(grey, board.dictionary)
-    board = _as_printed(found, board)
-    which, corners = _corners_beside(found, board)
+    board = _match_square_colour(found, board)
+    which, corners = _predict_corners(found, board)
     inside = np.all((corners > 3) & (corners < np.array(grey.shape[::-1]) - 4), axis=1)
     if np.count_nonzero(inside) < MIN_CORNERS:
         return board, None
-    return board, (which[inside], _refine(grey, corners[inside], board))
+    return board, (which[inside], _refine_corners(grey, corners[inside], board))
 
 
-def _as_printed(found: Mapping[int, np.ndarray], board: Board) -> Board:
+def _match_square_colour(found: Mapping[int, np.ndarray], board: Board) -> Board:
     """Return the board with the colour of the first square that fits the detected markers. `found`
     contains the corners (4, 2) [px] of each marker by its number."""
     if len(found) < MIN_MARKERS:
         return board
     other = replace(board, white_first=not board.white_first)
-    here, there = _misfit(found, board), _misfit(found, other)
+    here, there = _marker_misfit(found, board), _marker_misfit(found, other)
     best, misfit = (other, there) if there < 0.5 * here else (board, here)
     if misfit > WORST_MISFIT:
         turned = replace(board, columns=board.rows, rows=board.columns)
-        swapped = min(_misfit(found, replace(turned, white_first=first)) for first in (False, True))
+        swapped = min(
+            _marker_misfit(found, replace(turned, white_first=first)) for first in (False, True)
+        )
         hint = f" (they fit {board.rows}x{board.columns})" if swapped < WORST_MISFIT else ""
         raise CalibrationError(
             f"{len(found)} detected markers do not fit a board of {board.columns}x{board.rows} "
@@ -249,7 +251,7 @@ def _as_printed(found: Mapping[int, np.ndarray], board: Board) -> Board:
     return best
 
 
-def _misfit(found: Mapping[int, np.ndarray], board: Board) -> float:
+def _marker_misfit(found: Mapping[int, np.ndarray], board: Board) -> float:
     """Return the root mean square distance between the detected markers and the board's markers
     mapped by the best homography, relative to a marker's side."""
     known = board.markers
@@ -266,7 +268,7 @@ def _misfit(found: Mapping[int, np.ndarray], board: Board) -> float:
     return float(np.sqrt(np.mean(gap**2)) / np.median(sides))
 
 
-def _corners_beside(found: Mapping[int, np.ndarray], board: Board) -> Corners:
+def _predict_corners(found: Mapping[int, np.ndarray], board: Board) -> Corners:
     """Predict the board's corners next to the detected markers. `found` contains the corners (4, 2)
     [px] of each marker by its number."""
     known = board.markers
@@ -287,7 +289,7 @@ def _corners_beside(found: Mapping[int, np.ndarray], board: Board) -> Corners:
     return np.array(which, int), np.reshape(corners_px, (-1, 2))
 
 
-def _refine(grey: np.ndarray, corner_px: np.ndarray, board: Board) -> np.ndarray:
+def _refine_corners(grey: np.ndarray, corner_px: np.ndarray, board: Board) -> np.ndarray:
     """Refine corners (n, 2) [px] to the intersection of the edges around them."""
     points = np.asarray(corner_px, dtype=np.float32).reshape(-1, 2)
     gap = np.linalg.norm(points[:, None] - points, axis=2)
@@ -301,7 +303,9 @@ def _refine(grey: np.ndarray, corner_px: np.ndarray, board: Board) -> np.ndarray
     return np.asarray(refined, dtype=float).reshape(-1, 2)
 
 
-def choose(seen: Sequence[Corners], board: Board, max_count: int = MAX_PICTURES) -> list[int]:
+def choose_pictures(
+    seen: Sequence[Corners], board: Board, max_count: int = MAX_PICTURES
+) -> list[int]:
     """Choose pictures with different positions of the board, and return their indices.
 
     The first chosen picture is the one with the largest number of corners. Each further picture
@@ -371,7 +375,7 @@ class LensFit:
             )
         # Images of a fisheye lens are never undistorted, so this check does not apply to them.
         model = self.lens.model
-        if model != "equidistant" and not _shows(self.lens, self.size_px):
+        if model != "equidistant" and not _maps_without_folding(self.lens, self.size_px):
             return (
                 "the fitted lens folds the image near its edges; keep the plate away from them, or "
                 "take pictures with the board in the image's corners"
@@ -400,7 +404,7 @@ def fit_lens(
     corners = np.column_stack([board.corners, np.zeros(len(board.corners))])
     points = [corners[which] for which, _ in seen]
     places = [np.asarray(place, dtype=float) for _, place in seen]
-    fit = _fit_equidistant if model == "equidistant" else _fit_brown
+    fit = _fit_equidistant if model == "equidistant" else _fit_brown_model
     matrix, bend, errors, deviation = fit(points, places, size_px, model)
     everything = np.concatenate(errors)
     error_px = float(np.sqrt(np.mean(np.sum(everything**2, axis=1))))
@@ -432,7 +436,7 @@ Fit = tuple[np.ndarray, np.ndarray, list[np.ndarray], np.ndarray]
 """
 
 
-def _fit_brown(
+def _fit_brown_model(
     points: Sequence[np.ndarray], places: Sequence[np.ndarray], size_px: tuple[int, int], model: str
 ) -> Fit:
     """Fit a plumb_bob or rational_polynomial to points (n, 3) [m] at image points (n, 2) [px].
@@ -447,12 +451,12 @@ def _fit_brown(
     for fixed in FIXED:
         fits.append(_fit_opencv(points, places, size_px, 8, cv2.CALIB_RATIONAL_MODEL | fixed))
         matrix, bend = fits[-1][:2]
-        if _shows(Lens(matrix, bend, model), size_px):
+        if _maps_without_folding(Lens(matrix, bend, model), size_px):
             return fits[-1]
     return fits[0]
 
 
-def _shows(lens: Lens, size_px: tuple[int, int]) -> bool:
+def _maps_without_folding(lens: Lens, size_px: tuple[int, int]) -> bool:
     """Whether a lens maps the whole image without folding it."""
     across, down = (np.linspace(0, side - 1, FOLD_GRID) for side in size_px)
     grid = np.stack(np.meshgrid(across, down), axis=-1).reshape(-1, 2)
@@ -492,11 +496,11 @@ def _fit_opencv(
     free = np.ones(slopes.shape[1], bool)
     free[4 : 4 + count] = bend != 0  # distortion coefficients that are 0 were not fitted
     deviation = np.zeros(len(free))
-    deviation[free] = _deviation(slopes[:, free], np.concatenate(errors))
+    deviation[free] = _parameter_deviations(slopes[:, free], np.concatenate(errors))
     return matrix, bend, errors, deviation[: 4 + count]
 
 
-def _deviation(slopes: np.ndarray, errors: np.ndarray) -> np.ndarray:
+def _parameter_deviations(slopes: np.ndarray, errors: np.ndarray) -> np.ndarray:
     """Return the standard deviations (m,) of the parameters of a least-squares fit. The standard
     deviations are computed from the derivative (n, m) and the residuals of the fit. After a failed
     fit, the standard deviations are infinite.
@@ -526,7 +530,9 @@ def _fit_equidistant(
         middle = [(side - 1) / 2 for side in size_px]
         matrix = np.array([[focal, 0, middle[0]], [0, focal, middle[1]], [0, 0, 1]])
         lens = Lens(matrix, np.zeros(4), model)
-        poses = [_pose(point, lens, place) for point, place in zip(points, places, strict=True)]
+        poses = [
+            _estimate_pose(point, lens, place) for point, place in zip(points, places, strict=True)
+        ]
         start = np.concatenate([[focal, focal, *middle], np.zeros(4), *poses])
         if np.all(np.isfinite(start)):
             residual = _equidistant_errors(start, points, places)[0]
@@ -546,10 +552,10 @@ def _fit_equidistant(
     matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
     ends = np.cumsum([len(point) for point in points])[:-1]
     errors = np.split(-found.fun.reshape(-1, 2), ends)
-    return matrix, np.array(bend), errors, _deviation(found.jac, found.fun)[:8]
+    return matrix, np.array(bend), errors, _parameter_deviations(found.jac, found.fun)[:8]
 
 
-def _pose(point: np.ndarray, lens: Lens, place: np.ndarray) -> np.ndarray:
+def _estimate_pose(point: np.ndarray, lens: Lens, place: np.ndarray) -> np.ndarray:
     """Return the rotation vector and translation (6,) of a board for a given lens. The result is
     NaN if there is no solution."""
     straight = lens.straighten(place)

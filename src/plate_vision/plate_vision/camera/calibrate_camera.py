@@ -26,7 +26,7 @@ from .boards import (
     Board,
     Corners,
     LensFit,
-    choose,
+    choose_pictures,
     draw_board,
     find_board,
     fit_lens,
@@ -57,7 +57,7 @@ FISHEYE = ("k1", "k2", "k3", "k4")
 @piped()
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line. If there is an error, print it in one line and exit with code 2."""
-    args = _parser().parse_args(arguments)
+    args = _make_parser().parse_args(arguments)
     try:
         args.run(args)
     except BrokenPipeError:
@@ -67,14 +67,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
         sys.exit(2)
 
 
-def _parser() -> argparse.ArgumentParser:
+def _make_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="calibrate", description=(__doc__ or "").partition("\n")[0]
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     lens = commands.add_parser("lens", help="calibrate the lens with pictures of a board")
     lens.add_argument("pictures", type=Path, help="folder of pictures, or a video file")
-    _board_options(lens)
+    _add_board_options(lens)
     lens.add_argument(
         "--model", choices=tuple(LENS_MODELS), default="plumb_bob",
         help="distortion model: plumb_bob for normal lenses, rational_polynomial for wide lenses, "
@@ -93,17 +93,17 @@ def _parser() -> argparse.ArgumentParser:
         default=Path("errors.png"),
         help="picture of the errors to write (default: errors.png)",
     )
-    lens.set_defaults(run=_lens)
+    lens.set_defaults(run=_calibrate_lens)
     board = commands.add_parser("board", help="draw a board to print")
-    _board_options(board)
+    _add_board_options(board)
     board.add_argument("--out", type=Path, default=Path("board.png"))
-    board.set_defaults(run=_board)
+    board.set_defaults(run=_write_board)
     markers = commands.add_parser("markers", help="draw the markers of the plate to print")
     markers.add_argument("--rig-file", default="", help="rig file with fiducials")
     markers.add_argument(
         "--out", type=Path, default=Path("."), help="folder for the pictures of the markers"
     )
-    markers.set_defaults(run=_markers)
+    markers.set_defaults(run=_write_markers)
     home = commands.add_parser("home", help="find the plate's corners in pictures with markers")
     home.add_argument("pictures", type=Path, help="folder of pictures of the plate at rest")
     home.add_argument("--rig-file", default="", help="rig file with fiducials")
@@ -112,14 +112,18 @@ def _parser() -> argparse.ArgumentParser:
         type=Path,
         help="camera_info file of the lens (default: the lens in the rig file)",
     )
-    home.set_defaults(run=_home)
+    home.set_defaults(run=_calibrate_home)
     return parser
 
 
-def _board_options(parser: argparse.ArgumentParser) -> None:
+def _add_board_options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add(
-        "--board", type=_size, required=True, metavar="9x7", help="numbers of squares along x and y"
+        "--board",
+        type=_parse_board_size,
+        required=True,
+        metavar="9x7",
+        help="numbers of squares along x and y",
     )
     add("--square", type=float, required=True, metavar="M", help="side of a square [m]")
     add(
@@ -132,7 +136,7 @@ def _board_options(parser: argparse.ArgumentParser) -> None:
     add("--dictionary", default="5X5_100", help="set of markers (default: 5X5_100)")
 
 
-def _size(text: str) -> tuple[int, int]:
+def _parse_board_size(text: str) -> tuple[int, int]:
     columns, _, rows = text.partition("x")
     try:
         return int(columns), int(rows)
@@ -147,23 +151,23 @@ def _make_board(args: argparse.Namespace) -> Board:
     return Board(columns, rows, args.square, args.marker, args.dictionary)
 
 
-def _lens(args: argparse.Namespace) -> None:
+def _calibrate_lens(args: argparse.Namespace) -> None:
     board = _make_board(args)
     pictures = read_pictures(args.pictures)
-    board, seen, size_px = _search(pictures, board)
+    board, seen, size_px = _find_boards(pictures, board)
     if board.white_first:
         print("the board's first square is white, as in OpenCV versions before 4.6")
-    chosen = choose(seen, board)
+    chosen = choose_pictures(seen, board)
     if len(chosen) < len(seen):
         print(f"the lens is fitted to the {len(chosen)} pictures that differ most")
     fit = fit_lens(board, [seen[k] for k in chosen], size_px, args.model)
-    print(_summary(fit))
+    print(_fit_summary(fit))
     save_lens(args.out, args.name, size_px, fit.lens)
     write_picture(args.errors, draw_errors(fit))
     print(f"written: {args.out} (camera_info file), {args.errors} (errors of the corners)")
 
 
-def _search(pictures: Pictures, board: Board) -> tuple[Board, list[Corners], tuple[int, int]]:
+def _find_boards(pictures: Pictures, board: Board) -> tuple[Board, list[Corners], tuple[int, int]]:
     """Search for the board in pictures of one size. In a long film or a large folder, an increasing
     number of pictures is skipped (`FRAMES_SEARCHED`). Return the board as it is printed, its
     corners in each picture that shows it, and the size of the pictures [px]."""
@@ -212,25 +216,25 @@ class Progress:
         if not self._pictures.is_film:
             print(f"{name}: {corners} of {of} corners", flush=True)
         elif self._changes:
-            print(f"\r{self._text()}", end="", file=sys.stderr, flush=True)
+            print(f"\r{self._progress_text()}", end="", file=sys.stderr, flush=True)
         elif self.count % FRAMES_PER_LINE == 0:
-            print(self._text(), flush=True)
+            print(self._progress_text(), flush=True)
 
     def end(self) -> None:
         """Print the totals."""
         if self._changes:
             print(file=sys.stderr)
         elif self._pictures.is_film or self.count < self._pictures.count:
-            print(self._text())
+            print(self._progress_text())
 
-    def _text(self) -> str:
+    def _progress_text(self) -> str:
         read, count = self._pictures.place, self._pictures.count
         of = f" of {count}" if count >= read else ""
         kind = "frames" if self._pictures.is_film else "pictures"
         return f"{read}{of} {kind} read, {self.count} searched, board detected in {self._detected}"
 
 
-def _summary(fit: LensFit) -> str:
+def _fit_summary(fit: LensFit) -> str:
     matrix, deviation, lens = fit.lens.matrix, fit.deviation, fit.lens
     values = [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *lens.distortion]
     own = FISHEYE if lens.model == "equidistant" else BROWN
@@ -244,7 +248,7 @@ def _summary(fit: LensFit) -> str:
     return "\n".join(lines)
 
 
-def _board(args: argparse.Namespace) -> None:
+def _write_board(args: argparse.Namespace) -> None:
     board = _make_board(args)
     square_px = round(board.square_m / INCH_M * PRINT_DPI)
     write_picture(args.out, draw_board(board, square_px))
@@ -252,7 +256,7 @@ def _board(args: argparse.Namespace) -> None:
     print(f"written: {args.out}; print it at {PRINT_DPI} dpi to get squares of {side_mm}")
 
 
-def _markers(args: argparse.Namespace) -> None:
+def _write_markers(args: argparse.Namespace) -> None:
     fiducials = fiducials_of(load_rig(args.rig_file))
     args.out.mkdir(parents=True, exist_ok=True)
     side_px = round(fiducials.side_m / INCH_M * PRINT_DPI)
@@ -266,7 +270,7 @@ def _markers(args: argparse.Namespace) -> None:
         print(f"written: {path}; print it at {PRINT_DPI} dpi to get a side of {side_mm}")
 
 
-def _home(args: argparse.Namespace) -> None:
+def _calibrate_home(args: argparse.Namespace) -> None:
     rig = load_rig(args.rig_file)
     fiducials = fiducials_of(rig)
     size_px = (rig.camera.width_px, rig.camera.height_px)

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from ..errors import ImageError, check_image, check_size
-from .headers import PNG, Header, not_turned, read_header
+from .headers import PNG, Header, read_header, reset_orientation
 
 BAYER = {
     # OpenCV names a Bayer pattern by the colours in its second row and second column.
@@ -106,7 +106,7 @@ def decode(
         raise ImageError(f"image: encoding is {encoding!r}, allowed: {', '.join(ENCODINGS)}")
     kind, size = ENCODINGS[encoding]
     width, height = size_px
-    check_pixels(width, height)
+    check_pixel_count(width, height)
     channels = CHANNELS.get(kind, 1)
     row = width * channels * size
     if step < row:
@@ -161,7 +161,7 @@ def decode_file(
         raise ImageError(
             f"image: data ({len(content)} bytes) is not a picture file, allowed: JPEG, PNG"
         )
-    check_pixels(header.width, header.height)
+    check_pixel_count(header.width, header.height)
     if size_px is not None:
         check_size("image: size is", (header.width, header.height), size_px)
     tail = content[-TAIL:]
@@ -169,7 +169,7 @@ def decode_file(
         raise ImageError(
             f"image: file of {len(content)} bytes is incomplete, allowed: a complete file"
         )
-    pixels = unpack(content, cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH, header)
+    pixels = decode_picture(content, cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH, header)
     if pixels is None:
         raise ImageError(
             f"image: file of {len(content)} bytes is damaged, allowed: an intact JPEG or PNG file"
@@ -203,7 +203,7 @@ def bits_hint(image: np.ndarray, bits: int) -> str:
     return f"; if the camera uses only {used} of the {bits} bits, set the parameter bits to {used}"
 
 
-def unpack(content: bytes, flags: int, header: Header | None = None) -> np.ndarray | None:
+def decode_picture(content: bytes, flags: int, header: Header | None = None) -> np.ndarray | None:
     """Return the pixels of a picture file. Return None if the file is damaged or not a picture.
 
     `flags` are OpenCV's flags for the number of channels and bits. The picture is never rotated.
@@ -219,8 +219,8 @@ def unpack(content: bytes, flags: int, header: Header | None = None) -> np.ndarr
     header = header or read_header(content)
     if header is None:
         return None
-    check_pixels(header.width, header.height)
-    data = np.frombuffer(not_turned(content, header), np.uint8)
+    check_pixel_count(header.width, header.height)
+    data = np.frombuffer(reset_orientation(content, header), np.uint8)
     try:
         pixels = cv2.imdecode(data, flags | cv2.IMREAD_IGNORE_ORIENTATION)
     except cv2.error:
@@ -244,7 +244,7 @@ def grey_levels(image: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(grey)
 
 
-def check_pixels(width: int, height: int, what: str = "image:") -> None:
+def check_pixel_count(width: int, height: int, what: str = "image:") -> None:
     """Refuse images without pixels or with too many pixels. The error message begins with
     `what`."""
     if width < 1 or height < 1 or width * height > MAX_PIXELS:

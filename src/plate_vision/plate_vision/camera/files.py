@@ -22,9 +22,9 @@ from plate_core.files import YAML_BYTES, check_file, draft, read_file
 from plate_core.yaml_fields import Fields, parse_yaml
 
 from ..errors import CalibrationError, ImageError, check_size
-from .encodings import check_pixels, unpack
+from .encodings import check_pixel_count, decode_picture
 from .foreign import is_ini, is_opencv, read_ini, read_opencv
-from .headers import AS_STORED, read_header, turned_text
+from .headers import AS_STORED, orientation_warning, read_header
 from .lens import Lens
 
 MAX_ABS = 1e6
@@ -54,17 +54,17 @@ def load_lens(path: str | Path, expected_px: tuple[int, int] | None = None) -> L
     CalibrationError
         If a key is missing or its value is not allowed.
     """
-    fields = _camera_fields(Path(path))
+    fields = _read_camera_fields(Path(path))
     size_px = (fields.integer("image_width", 16, 16384), fields.integer("image_height", 16, 16384))
     if expected_px is not None:
         check_size(f"{fields.where}: image size is", size_px, expected_px, CalibrationError)
     model = fields.text("distortion_model")
-    values = _matrix(fields.child("distortion_coefficients"), None)
-    matrix = _matrix(fields.child("camera_matrix"), (3, 3)).reshape(3, 3)
+    values = _read_matrix(fields.child("distortion_coefficients"), None)
+    matrix = _read_matrix(fields.child("camera_matrix"), (3, 3)).reshape(3, 3)
     return Lens(matrix, values, model, fields.where)
 
 
-def _camera_fields(path: Path) -> Fields:
+def _read_camera_fields(path: Path) -> Fields:
     content = read_file(path, YAML_BYTES, CalibrationError)
     if is_opencv(content):
         return read_opencv(content, path)
@@ -86,23 +86,23 @@ def save_lens(path: str | Path, camera: str, size_px: tuple[int, int], lens: Len
         "image_width": size_px[0],
         "image_height": size_px[1],
         "camera_name": camera,
-        "camera_matrix": _block(lens.matrix),
+        "camera_matrix": _matrix_to_yaml(lens.matrix),
         "distortion_model": lens.model,
-        "distortion_coefficients": _block(lens.distortion[None]),
-        "rectification_matrix": _block(np.eye(3)),
-        "projection_matrix": _block(np.column_stack([lens.matrix, np.zeros(3)])),
+        "distortion_coefficients": _matrix_to_yaml(lens.distortion[None]),
+        "rectification_matrix": _matrix_to_yaml(np.eye(3)),
+        "projection_matrix": _matrix_to_yaml(np.column_stack([lens.matrix, np.zeros(3)])),
     }
     text = yaml.safe_dump(data, sort_keys=False, default_flow_style=None)
     with draft(path, "camera file") as file:
         file.write(text.encode())
 
 
-def _block(matrix: np.ndarray) -> dict[str, object]:
+def _matrix_to_yaml(matrix: np.ndarray) -> dict[str, object]:
     rows, columns = matrix.shape
     return {"rows": rows, "cols": columns, "data": matrix.ravel().tolist()}
 
 
-def _matrix(fields: Fields, shape: tuple[int, int] | None) -> np.ndarray:
+def _read_matrix(fields: Fields, shape: tuple[int, int] | None) -> np.ndarray:
     """Return the values of a matrix as a flat array. If `shape` is None, the file determines the
     shape."""
     rows, columns = fields.integer("rows", 1, 16), fields.integer("cols", 1, 16)
@@ -207,10 +207,10 @@ class Pictures:
                 raise StopIteration
             file = self._files[number]
             self.place += 1
-            return file.name, self._read(file)
+            return file.name, self._read_picture(file)
         there, pixels = self._film.read()
         if not there:
-            self._end()
+            self._end_film()
         self.place += 1
         return f"{self._path.name}: {number}", np.asarray(pixels)
 
@@ -221,19 +221,19 @@ class Pictures:
                 return
             self.place += 1
 
-    def _end(self) -> None:
+    def _end_film(self) -> None:
         if self.place == 0:
             raise ImageError(f"{self._path}: {NO_FILM}")
         raise StopIteration
 
-    def _read(self, file: Path) -> np.ndarray:
+    def _read_picture(self, file: Path) -> np.ndarray:
         content = read_file(file, PICTURE_BYTES, ImageError)
         header = read_header(content)
         if header is not None:
-            check_pixels(header.width, header.height, f"{file}:")
-            if text := turned_text(header):
+            check_pixel_count(header.width, header.height, f"{file}:")
+            if text := orientation_warning(header):
                 self._warn_once(f"{file.name}: {text}")
-        pixels = unpack(content, cv2.IMREAD_COLOR, header)
+        pixels = decode_picture(content, cv2.IMREAD_COLOR, header)
         if pixels is None:
             raise ImageError(f"{file}: cannot be read, allowed: a complete picture ({KINDS})")
         return pixels
@@ -300,5 +300,5 @@ def _open_film(path: Path) -> cv2.VideoCapture:
     film.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
     size = (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
     width, height = (int(film.get(side)) for side in size)
-    check_pixels(width, height, f"{path}:")
+    check_pixel_count(width, height, f"{path}:")
     return film

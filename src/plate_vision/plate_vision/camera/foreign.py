@@ -73,7 +73,7 @@ def read_opencv(content: bytes, path: Path) -> Fields:
     for key, names in NAMES.items():
         found = [spelt[name] for name in names if name in spelt]
         if found:
-            data[key] = _block(found[0])
+            data[key] = _matrix_fields(found[0])
     if "camera_matrix" not in data:
         raise CalibrationError(
             f"{path.name}: camera_matrix is missing; a file of OpenCV requires camera_matrix, "
@@ -85,7 +85,7 @@ def read_opencv(content: bytes, path: Path) -> Fields:
             f"{path.name}: distortion_model is missing, required for {FISHEYE} coefficients: "
             "plumb_bob, or equidistant for those of cv::fisheye"
         )
-    data["distortion_model"] = model or _model(spelt, data)
+    data["distortion_model"] = model or _distortion_model(spelt, data)
     return Fields(data, path.name, CalibrationError)
 
 
@@ -96,7 +96,7 @@ def _count(data: Mapping[str, Any]) -> int:
     return len(values) if isinstance(values, list) else 0
 
 
-def _block(value: Any) -> Any:
+def _matrix_fields(value: Any) -> Any:
     """Return a matrix in the form of camera_info files. In an nd-matrix of OpenCV, the key `sizes`
     contains the shape."""
     if not isinstance(value, Mapping) or not isinstance(value.get("sizes"), list):
@@ -105,7 +105,7 @@ def _block(value: Any) -> Any:
     return {"rows": rows, "cols": columns, "data": value.get("data")}
 
 
-def _model(spelt: Mapping[str, Any], data: Mapping[str, Any]) -> str:
+def _distortion_model(spelt: Mapping[str, Any], data: Mapping[str, Any]) -> str:
     if spelt.get("fisheyemodel"):
         return "equidistant"
     return "plumb_bob" if _count(data) <= 5 else "rational_polynomial"
@@ -147,5 +147,5 @@ def read_ini(content: bytes, path: Path) -> Fields:
             values = blocks[name]
             key = "distortion_coefficients" if name == "distortion" else "camera_matrix"
             data[key] = {"rows": rows, "cols": columns or len(values), "data": values}
-    data["distortion_model"] = _model({}, data)
+    data["distortion_model"] = _distortion_model({}, data)
     return Fields(data, path.name, CalibrationError)

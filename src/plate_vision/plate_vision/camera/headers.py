@@ -76,15 +76,15 @@ def read_header(content: bytes) -> Header | None:
     the file is malformed."""
     try:
         if content.startswith(PNG):
-            return _png(content)
+            return _read_png(content)
         if content.startswith(b"\xff\xd8"):
-            return _jpeg(content)
+            return _read_jpeg(content)
         if content.startswith(b"RIFF") and content[8:12] == b"WEBP":
-            return _webp(content)
+            return _read_webp(content)
         if content[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
-            return _tiff(content)
+            return _read_tiff(content)
         if content.startswith(b"BM"):
-            return _bmp(content)
+            return _read_bmp(content)
         if found := PNM.match(content[:4096]):
             return Header("PNM", int(found[1]), int(found[2]))
     except BROKEN:
@@ -92,7 +92,7 @@ def read_header(content: bytes) -> Header | None:
     return None
 
 
-def not_turned(content: bytes, header: Header) -> bytes:
+def reset_orientation(content: bytes, header: Header) -> bytes:
     """Return the content of the file with the orientation 1 if it is a TIFF file. OpenCV rotates
     TIFF files even with the flag IMREAD_IGNORE_ORIENTATION. Other files are returned unchanged."""
     if header.kind != "TIFF" or not header.place:
@@ -101,7 +101,7 @@ def not_turned(content: bytes, header: Header) -> bytes:
     return content[: header.place] + value + content[header.place + 2 :]
 
 
-def turned_text(header: Header) -> str:
+def orientation_warning(header: Header) -> str:
     """Return a warning about a picture that viewers rotate or mirror. The result is empty for other
     pictures."""
     if header.orientation == 1:
@@ -110,7 +110,7 @@ def turned_text(header: Header) -> str:
     return f"orientation {header.orientation} is ignored: viewers {do}; {AS_STORED}"
 
 
-def _png(content: bytes) -> Header:
+def _read_png(content: bytes) -> Header:
     width, height = struct.unpack_from(">II", content, 16)
     orientation, place = 1, 8
     for _ in range(MAX_PIECES):
@@ -118,12 +118,12 @@ def _png(content: bytes) -> Header:
             break
         size, kind = struct.unpack_from(">I4s", content, place)
         if kind == b"eXIf":
-            orientation = _exif(content[place + 8 : place + 8 + size])
+            orientation = _read_exif_orientation(content[place + 8 : place + 8 + size])
         place += 12 + size
     return Header("PNG", width, height, orientation)
 
 
-def _jpeg(content: bytes) -> Header | None:
+def _read_jpeg(content: bytes) -> Header | None:
     orientation, place = 1, 2
     for _ in range(MAX_PIECES):
         if content[place] != 0xFF:
@@ -138,12 +138,12 @@ def _jpeg(content: bytes) -> Header | None:
             return Header("JPEG", width, height, orientation)
         (size,) = struct.unpack_from(">H", content, place + 2)
         if mark == 0xE1 and content[place + 4 : place + 10] == b"Exif\0\0":
-            orientation = _exif(content[place + 10 : place + 2 + size])
+            orientation = _read_exif_orientation(content[place + 10 : place + 2 + size])
         place += 2 + size
     return None
 
 
-def _webp(content: bytes) -> Header | None:
+def _read_webp(content: bytes) -> Header | None:
     size: tuple[int, int] | None = None
     orientation, place = 1, 12
     for _ in range(MAX_PIECES):
@@ -163,41 +163,41 @@ def _webp(content: bytes) -> Header | None:
             size = (bits & 0x3FFF) + 1, (bits >> 14 & 0x3FFF) + 1
         elif kind == b"EXIF":
             data = content[body : body + length]
-            orientation = _exif(data.removeprefix(b"Exif\0\0"))
+            orientation = _read_exif_orientation(data.removeprefix(b"Exif\0\0"))
         place = body + length + length % 2
     return None if size is None else Header("WebP", *size, orientation)
 
 
-def _bmp(content: bytes) -> Header:
+def _read_bmp(content: bytes) -> Header:
     (size,) = struct.unpack_from("<I", content, 14)
     width, height = struct.unpack_from("<HH" if size == 12 else "<ii", content, 18)
     return Header("BMP", width, abs(height))
 
 
-def _tiff(content: bytes) -> Header | None:
-    tags = {tag: (value, place) for tag, value, place in _tags(content)}
+def _read_tiff(content: bytes) -> Header | None:
+    tags = {tag: (value, place) for tag, value, place in _read_tags(content)}
     if WIDTH not in tags or HEIGHT not in tags:
         return None
     orientation, place = tags.get(ORIENTATION, (1, 0))
     width, height = tags[WIDTH][0], tags[HEIGHT][0]
-    return Header("TIFF", width, height, _known(orientation), place)
+    return Header("TIFF", width, height, _valid_orientation(orientation), place)
 
 
-def _exif(data: bytes) -> int:
+def _read_exif_orientation(data: bytes) -> int:
     """Return the orientation in EXIF data, which have the form of a TIFF file. The result is 1 if
     the data contain no orientation."""
     try:
-        found = (value for tag, value, _ in _tags(data) if tag == ORIENTATION)
-        return _known(next(found, 1))
+        found = (value for tag, value, _ in _read_tags(data) if tag == ORIENTATION)
+        return _valid_orientation(next(found, 1))
     except BROKEN:
         return 1
 
 
-def _known(orientation: int) -> int:
+def _valid_orientation(orientation: int) -> int:
     return orientation if orientation in TRANSFORMS else 1
 
 
-def _tags(data: bytes) -> Iterator[tuple[int, int, int]]:
+def _read_tags(data: bytes) -> Iterator[tuple[int, int, int]]:
     """Yield the tag, its first value and the position of the value [bytes] for each integer tag in
     the first directory of a TIFF file.
 

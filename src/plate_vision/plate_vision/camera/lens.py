@@ -74,7 +74,7 @@ class Lens:
         try:
             lens = lens_of_matrix(self.matrix, np.ravel(self.distortion).tolist(), model)
         except RigError as error:
-            raise CalibrationError(f"{self._begin}{error}") from None
+            raise CalibrationError(f"{self._message_prefix}{error}") from None
         object.__setattr__(self, "matrix", lens.matrix)
         object.__setattr__(self, "distortion", np.array(lens.distortion))
         object.__setattr__(self, "model", lens.model)
@@ -88,12 +88,12 @@ class Lens:
     def straighten(self, point_px: np.ndarray) -> np.ndarray:
         """Remove the distortion from points (M, 2) [px]. The result (M, 2) [px] is NaN outside of
         the lens's field of view."""
-        point_px = _points(point_px)
+        point_px = _to_points(point_px)
         return self._formula.straighten(point_px) if len(point_px) and self.bends else point_px
 
     def bend(self, point_px: np.ndarray) -> np.ndarray:
         """Apply the distortion to points (M, 2) [px] of the undistorted image."""
-        return self._formula.bend(_points(point_px))
+        return self._formula.bend(_to_points(point_px))
 
     def check_folding(self, corners_px: np.ndarray, straight: bool = False) -> None:
         """Refuse a lens that folds the image of a plate.
@@ -111,10 +111,10 @@ class Lens:
             If the lens folds the image, so that parts would appear at wrong places.
         """
         if folded := self._formula.folds(corners_px, straight):
-            raise CalibrationError(f"{self._begin}{folded}")
+            raise CalibrationError(f"{self._message_prefix}{folded}")
 
     @property
-    def _begin(self) -> str:
+    def _message_prefix(self) -> str:
         return f"{self.source}: " if self.source else ""
 
 
@@ -154,7 +154,7 @@ class Calibration:
         """Derivative (M, 2, 2) [m/px] of `to_home` at image points (M, 2) [px]. Without a lens, the
         derivative is computed analytically. With a lens, the derivative is computed by central
         differences."""
-        point_px = _points(point_px)
+        point_px = _to_points(point_px)
         if self.lens is None:
             rows = point_px @ self.home_from_image[:, :2].T + self.home_from_image[:, 2]
             point, third = rows[:, :2] / rows[:, 2:], rows[:, 2, None, None]
@@ -188,7 +188,7 @@ class Calibration:
         A homography H scales a small area by det(H) / w^3, where w is the third homogeneous
         coordinate of the image point. With a lens, the ratio is computed from central differences.
         """
-        point = _points(point)
+        point = _to_points(point)
         if self.lens is not None:
             steps = SLOPE_STEP * np.array([[1.0, 0], [-1, 0], [0, 1], [0, -1]])
             seen = self.to_image((steps[:, None] + point).reshape(-1, 2)).reshape(4, -1, 2)
@@ -253,19 +253,19 @@ def check_quadrilateral(
     if polygon.shape != (4, 2) or not np.all(np.isfinite(polygon)):
         raise error(f"{name}: got {polygon.tolist()}, allowed: four finite pairs (x, y) in {unit}")
     sides = np.roll(polygon, -1, axis=0) - polygon
-    crosses = cross(sides, np.roll(sides, -1, axis=0))
+    crosses = cross_products(sides, np.roll(sides, -1, axis=0))
     if not (np.all(crosses > 0) or np.all(crosses < 0)):
         raise error(
             f"{name}: got {polygon.tolist()} {unit}, allowed: four corners in order around a "
             "convex quadrilateral, no three of them on one line"
         )
-    area = 0.5 * abs(float(np.sum(cross(polygon, np.roll(polygon, -1, axis=0)))))
+    area = 0.5 * abs(float(np.sum(cross_products(polygon, np.roll(polygon, -1, axis=0)))))
     if area < min_area:
         raise error(f"{name}: area is {area:.3g} {unit}2, allowed: at least {min_area:.3g} {unit}2")
     return polygon
 
 
-def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def cross_products(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Return the z components (n,) of the cross products of planar vectors (n, 2)."""
     return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
 
@@ -285,7 +285,7 @@ def calibrate_by_matrix(
     CalibrationError
         If the homography is not (3, 3), not finite, or has no inverse.
     """
-    matrix = _finite(image_from_home, (3, 3), "homography")
+    matrix = _check_finite(image_from_home, (3, 3), "homography")
     condition = float(np.linalg.cond(matrix)) if np.any(matrix) else np.inf
     if not condition < MAX_CONDITION:
         raise CalibrationError(
@@ -324,11 +324,11 @@ def rig_lens(rig: Rig) -> Lens | None:
     return None if lens is None else Lens(lens.matrix, np.array(lens.distortion), lens.model)
 
 
-def _points(point: np.ndarray) -> np.ndarray:
+def _to_points(point: np.ndarray) -> np.ndarray:
     return np.asarray(point, dtype=float).reshape(-1, 2)
 
 
-def _finite(array: np.ndarray, shape: tuple[int, ...], name: str) -> np.ndarray:
+def _check_finite(array: np.ndarray, shape: tuple[int, ...], name: str) -> np.ndarray:
     array = np.array(array, dtype=float)
     if array.shape != shape or not np.all(np.isfinite(array)):
         size = " x ".join(map(str, shape))

@@ -97,13 +97,13 @@ class LensPictures:
             return replace(self, last=None), "too little of the board is detected"
         place = (project(matrix, board.square_m * outer) / self.size_px[0]).ravel()
         now = replace(self, board=board, last=place)
-        if self.last is None or _away(place, self.last) > STILL:
+        if self.last is None or _corner_distance(place, self.last) > STILL:
             return now, "hold the board still"
-        if any(_away(place, one) < DIFFERS for one in self.places):
+        if any(_corner_distance(place, one) < DIFFERS for one in self.places):
             return now, "similar to an earlier picture: hold the board differently"
         if len(self.kept) >= MAX_PICTURES:
             return now, f"{MAX_PICTURES} pictures are enough"
-        tilt = _tilt(board, corners, self.size_px)
+        tilt = _tilted_side(board, corners, self.size_px)
         now = replace(
             now,
             kept=(*self.kept, corners),
@@ -137,13 +137,13 @@ class LensPictures:
         return fit_lens(self.board, self.kept, self.size_px, model)
 
 
-def _away(place: np.ndarray, other: np.ndarray) -> float:
+def _corner_distance(place: np.ndarray, other: np.ndarray) -> float:
     """Return the root mean square distance between the outer corners (8,) of the board in two
     pictures."""
     return float(np.sqrt(np.sum((place - other) ** 2) / 4))
 
 
-def _tilt(board: Board, corners: Corners, size_px: tuple[int, int]) -> str:
+def _tilted_side(board: Board, corners: Corners, size_px: tuple[int, int]) -> str:
     """Return the side of the board that is nearest to the camera, one of `TILTS`. Return "" if the
     board is not tilted."""
     which, place_px = corners

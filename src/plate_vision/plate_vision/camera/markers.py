@@ -82,7 +82,7 @@ def find_markers(grey: np.ndarray, dictionary: str) -> dict[int, np.ndarray]:
     CalibrationError
         If OpenCV was built without markers, or the dictionary is unknown.
     """
-    known = _dictionary(dictionary)
+    known = _load_dictionary(dictionary)
     grey = np.ascontiguousarray(grey)
     old: Any = cv2.aruco
     is_new = hasattr(cv2.aruco, "ArucoDetector")
@@ -113,7 +113,7 @@ def draw_marker(dictionary: str, number: int, side_px: int) -> np.ndarray:
         If the dictionary is unknown or has no such number, if OpenCV was built without markers, or
         if a module would be smaller than a pixel.
     """
-    known = _dictionary(dictionary)
+    known = _load_dictionary(dictionary)
     count = len(known.bytesList)
     if not 0 <= number < count:
         raise CalibrationError(
@@ -130,7 +130,7 @@ def draw_marker(dictionary: str, number: int, side_px: int) -> np.ndarray:
     return np.asarray(old.drawMarker(known, number, side_px))
 
 
-def _dictionary(name: str) -> Any:
+def _load_dictionary(name: str) -> Any:
     if not hasattr(cv2, "aruco"):
         raise CalibrationError(
             f"OpenCV {cv2.__version__} was built without markers, allowed: OpenCV 4.7 or "
@@ -149,11 +149,11 @@ def square_corners(grey: np.ndarray, corners_px: np.ndarray) -> np.ndarray:
     """
     corners = np.array(corners_px, dtype=float).reshape(-1, 4, 2)
     for _ in range(ROUNDS):
-        corners = _refine(grey, corners)
+        corners = _refine_corners(grey, corners)
     return corners
 
 
-def _refine(grey: np.ndarray, corners: np.ndarray) -> np.ndarray:
+def _refine_corners(grey: np.ndarray, corners: np.ndarray) -> np.ndarray:
     along = np.roll(corners, -1, axis=1) - corners
     length = np.linalg.norm(along, axis=2, keepdims=True)
     x, y = np.moveaxis(along / np.maximum(length, 1e-9), 2, 0)
@@ -164,16 +164,16 @@ def _refine(grey: np.ndarray, corners: np.ndarray) -> np.ndarray:
     across = np.arange(-REACH_PX, REACH_PX + STEP_PX / 2, STEP_PX)
     foot = corners[:, :, None] + at[:, None] * along[:, :, None]
     place = foot[..., None, :] + across[:, None] * outward[:, :, None, None]
-    crossing = _crossings(_values(grey, place), across)
+    crossing = _find_crossings(_sample_grey_levels(grey, place), across)
     # `line` contains two values for each edge: its offset at the first corner, and the change of
     # this offset up to the last corner.
-    line = _lines(at, crossing)
+    line = _fit_edge_lines(at, crossing)
     first = corners + line[..., :1] * outward
     last = corners + along + line.sum(axis=2, keepdims=True) * outward
-    return _intersect(np.roll(first, 1, axis=1), np.roll(last, 1, axis=1), first, last)
+    return _intersect_lines(np.roll(first, 1, axis=1), np.roll(last, 1, axis=1), first, last)
 
 
-def _values(grey: np.ndarray, place: np.ndarray) -> np.ndarray:
+def _sample_grey_levels(grey: np.ndarray, place: np.ndarray) -> np.ndarray:
     """Return the grey levels (n, 4, s, k) at places (n, 4, s, k, 2) [px]; NaN outside the image."""
     rows = (place.shape[0] * place.shape[1], place.shape[2] * place.shape[3])
     x, y = np.moveaxis(np.nan_to_num(place, nan=-9.0).astype(np.float32), -1, 0)
@@ -191,7 +191,7 @@ def _values(grey: np.ndarray, place: np.ndarray) -> np.ndarray:
     return np.where(inside, value.reshape(place.shape[:-1]).astype(float), np.nan)
 
 
-def _crossings(value: np.ndarray, across: np.ndarray) -> np.ndarray:
+def _find_crossings(value: np.ndarray, across: np.ndarray) -> np.ndarray:
     """Return the crossings (n, 4, s) [px] of profiles (n, 4, s, k). A crossing is the place where a
     profile rises through the mean of the edge's dark and bright level. If a profile does not rise
     through this level, its crossing is NaN."""
@@ -208,19 +208,19 @@ def _crossings(value: np.ndarray, across: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(found), found, np.nan)
 
 
-def _lines(at: np.ndarray, crossing: np.ndarray) -> np.ndarray:
+def _fit_edge_lines(at: np.ndarray, crossing: np.ndarray) -> np.ndarray:
     """Fit a line a + b t to the crossings (n, 4, s) of each edge at t = `at`, without outliers.
     Return the coefficients a, b (n, 4, 2). The coefficients are NaN if there are too few
     crossings."""
     middle = np.nanmedian(np.where(np.isnan(crossing).all(axis=2, keepdims=True), 0, crossing), 2)
     weight = np.isfinite(crossing) & (np.abs(crossing - middle[..., None]) < 4 * OUTLIER_PX)
-    line = _fit(at, crossing, weight)
+    line = _fit_weighted_lines(at, crossing, weight)
     weight &= np.abs(crossing - line[..., :1] - line[..., 1:] * at) < OUTLIER_PX
-    line = _fit(at, crossing, weight)
+    line = _fit_weighted_lines(at, crossing, weight)
     return np.where(weight.sum(axis=2, keepdims=True) >= MIN_CROSSINGS, line, np.nan)
 
 
-def _fit(at: np.ndarray, crossing: np.ndarray, weight: np.ndarray) -> np.ndarray:
+def _fit_weighted_lines(at: np.ndarray, crossing: np.ndarray, weight: np.ndarray) -> np.ndarray:
     count = np.maximum(weight.sum(axis=2), 1)
     value = np.where(weight, crossing, 0)
     x = np.where(weight, at, 0)
@@ -230,7 +230,7 @@ def _fit(at: np.ndarray, crossing: np.ndarray, weight: np.ndarray) -> np.ndarray
     return np.stack([mean - growth * mean_x, growth], axis=2)
 
 
-def _intersect(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndarray:
+def _intersect_lines(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndarray:
     """Intersect lines through a, b with lines through c, d (n, 4, 2). All points of a square are
     NaN if one line is missing."""
     u, v, w = b - a, d - c, c - a

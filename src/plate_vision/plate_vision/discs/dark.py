@@ -22,7 +22,7 @@ from .. import _kernels
 from ..plate.light import LitPlate
 from ..plate.region import Region
 from . import silhouette
-from .measure import DISC, numbers
+from .measure import DISC, disc_rows
 
 
 def measure_dark(
@@ -52,7 +52,7 @@ def measure_dark(
     discs, marks = np.zeros(len(seeds), DISC), np.empty((len(seeds), 2))
     alone = np.empty(len(seeds), np.bool_)
     _kernels.measure_dark(
-        *plate, region.edges, region.bows, seeds, silhouette.numbers(parts), numbers(discs), marks,
-        alone,
+        *plate, region.edges, region.bows, seeds, silhouette.silhouette_rows(parts),
+        disc_rows(discs), marks, alone,
     )  # fmt: skip
     return discs, marks, alone

@@ -15,7 +15,7 @@ import numpy as np
 from .. import _kernels
 from ..plate.light import LitPlate
 from . import silhouette
-from .measure import DISC, numbers
+from .measure import DISC, disc_rows
 from .shadow import Shadow
 
 
@@ -25,11 +25,11 @@ def fit_discs(
     """Measure discs (n,) DISC, also among neighbours. Input: seeds (n, 2) [px], the silhouettes
     (n,) SILHOUETTE of parts at the seeds, and the shadow that every part casts."""
     discs = np.zeros(len(seeds), DISC)
-    shapes = silhouette.numbers(parts)
+    shapes = silhouette.silhouette_rows(parts)
     cast, shade, edge_px = np.empty((0, 2)), 0.0, 1.0
     if shadow is not None:
         cast, shade, edge_px = shadow.cast(seeds, parts), shadow.darkness, shadow.edge_px
     _kernels.fit_discs(
-        *plate.pixels, seeds, shapes, cast, shade, edge_px, plate.noise, numbers(discs)
+        *plate.pixels, seeds, shapes, cast, shade, edge_px, plate.noise, disc_rows(discs)
     )
     return discs

@@ -8,7 +8,7 @@ import numpy as np
 from .. import _kernels
 from ..plate.region import Region
 from . import silhouette
-from .measure import numbers
+from .measure import disc_rows
 
 GOOD_MISFIT: float = _kernels.GOOD_MISFIT
 """Maximum misfit that light, noise and the edges of pixels cause. If a misfit exceeds this value,
@@ -55,6 +55,6 @@ def judge(
         Properties of the parts, in the order of `NUMBERS`.
     """
     return _kernels.judge(
-        numbers(discs), silhouette.numbers(parts), marks, light, region.edges, region.bows, noise,
-        tolerance, class_threshold, margin_px,
+        disc_rows(discs), silhouette.silhouette_rows(parts), marks, light, region.edges,
+        region.bows, noise, tolerance, class_threshold, margin_px,
     )  # fmt: skip

@@ -21,4 +21,4 @@ def find_marks(plate: LitPlate, seeds: np.ndarray, parts: np.ndarray) -> np.ndar
     `seeds` (n, 2) are the places of the parts, with errors of one or two pixels. `parts` (n,)
     SILHOUETTE are the silhouettes at these places.
     """
-    return np.asarray(_kernels.find_marks(*plate, seeds, silhouette.numbers(parts)))
+    return np.asarray(_kernels.find_marks(*plate, seeds, silhouette.silhouette_rows(parts)))

@@ -28,7 +28,7 @@ DISC = np.dtype(
 """
 
 
-def numbers(discs: np.ndarray) -> np.ndarray:
+def disc_rows(discs: np.ndarray) -> np.ndarray:
     """Return discs (n,) `DISC` as rows of numbers (n, 7)."""
     return discs.view(float).reshape(-1, 7)
 

@@ -16,7 +16,7 @@ import numpy as np
 from .. import _kernels
 from ..plate.light import LitPlate
 from ..plate.region import Region
-from .silhouette import SILHOUETTE, Silhouettes, numbers, reach_limits, to_image
+from .silhouette import SILHOUETTE, Silhouettes, reach_limits, silhouette_rows, to_image
 
 COARSE_RADIUS_PX = 3.5
 """Minimum radius of a part on the coarse grid [grid steps]. The grid skips rows and columns to save
@@ -89,7 +89,7 @@ def seeds_of(
     """
     x0, y0, stride = grid
     eroded = round(EROSION * radius_px / stride)
-    core = cv2.erode(dark, _disc(eroded)) > outside
+    core = cv2.erode(dark, _disc_element(eroded)) > outside
     number = np.zeros(core.shape, np.int32)
     blobs = _kernels.find_blobs(core, number)
     if not len(blobs):
@@ -118,19 +118,19 @@ def seeds_of(
     low, size_px = np.repeat((x0, y0), 2), np.repeat(plate.grey.shape[::-1], 2)
     boxes = np.clip(blobs[large, 3:].astype(int) * stride + low + pad * (-1, 1, -1, 1), 0, size_px)
     merged = np.concatenate([[False], large])[number]
-    split = _split(plate, merged, grid, boxes, parts[large])
+    split = _split_dark_areas(plate, merged, grid, boxes, parts[large])
     parts = np.concatenate([parts[single], silhouettes(split)])
     return np.concatenate([seeds, split]), parts
 
 
 @lru_cache(maxsize=16)
-def _disc(radius: int) -> np.ndarray:
+def _disc_element(radius: int) -> np.ndarray:
     """Return a round structuring element of a radius [px]."""
     reach = np.arange(-radius, radius + 1)
     return (np.hypot(reach[:, None], reach[None, :]) <= radius + 0.3).astype(np.uint8)
 
 
-def _split(
+def _split_dark_areas(
     plate: LitPlate,
     merged: np.ndarray,
     grid: tuple[int, int, int],
@@ -148,7 +148,7 @@ def _split(
         radius_px = float(part["radius_px"][0])
         side = 2 * (2 * max(1, round(SPREAD * radius_px)) + 1,)
         votes = np.zeros((y1 - y0, x1 - x0), np.float32)
-        _kernels.vote(*plate.pixels, x0, y0, numbers(part), votes)
+        _kernels.vote(*plate.pixels, x0, y0, silhouette_rows(part), votes)
         votes = cv2.boxFilter(votes, -1, side, normalize=False, borderType=cv2.BORDER_CONSTANT)
         # The boxes may overlap. Therefore ignore a part that was already detected in another box.
         for x, y in _kernels.find_peaks(votes, x0, y0, merged, grid, radius_px):

@@ -91,7 +91,7 @@ class SeenDiscs:
         return found
 
 
-def numbers(parts: np.ndarray) -> np.ndarray:
+def silhouette_rows(parts: np.ndarray) -> np.ndarray:
     """Return silhouettes (n,) `SILHOUETTE` as rows of numbers (n, 8)."""
     return parts.view(float).reshape(-1, 8)
 

@@ -102,8 +102,8 @@ class GenicamSource(Camera):
                 raise AbsentError(f"{name}: no camera found; check that it is plugged in") from None
             raise CameraError(f"{name}: {error}; available cameras: {serials}") from None
         try:
-            self._set("Width", self.settings.width)
-            self._set("Height", self.settings.height)
+            self._set_feature("Width", self.settings.width)
+            self._set_feature("Height", self.settings.height)
             if self.settings.format:
                 pixel_format = PIXEL_FORMATS.get(self.settings.format)
                 if pixel_format is None:
@@ -111,7 +111,7 @@ class GenicamSource(Camera):
                         f"{name}: format is {self.settings.format}, allowed for GenICam: "
                         f"{', '.join(PIXEL_FORMATS)}"
                     )
-                self._set("PixelFormat", pixel_format)
+                self._set_feature("PixelFormat", pixel_format)
             self._apply_settings()
             self._set_trigger()
             self._camera.start()
@@ -132,29 +132,29 @@ class GenicamSource(Camera):
             ("BalanceWhiteAuto", values.auto_white_balance),
         ):
             if hasattr(self._nodes, feature):
-                self._set(feature, "Continuous" if chosen else "Off")
+                self._set_feature(feature, "Continuous" if chosen else "Off")
         if values.exposure_us > 0:
-            self._set("ExposureTime", values.exposure_us)
+            self._set_feature("ExposureTime", values.exposure_us)
         if values.gain >= 0:
-            self._set("Gain", values.gain)
+            self._set_feature("Gain", values.gain)
 
     def _set_trigger(self) -> None:
         """Set whether the camera takes images at trigger pulses or at a fixed rate."""
         triggered = self.settings.trigger
         if hasattr(self._nodes, "TriggerMode"):
             if hasattr(self._nodes, "TriggerSelector"):
-                self._set("TriggerSelector", "FrameStart")
-            self._set("TriggerMode", "On" if triggered else "Off")
+                self._set_feature("TriggerSelector", "FrameStart")
+            self._set_feature("TriggerMode", "On" if triggered else "Off")
         elif triggered:
             raise CameraError(
                 f"{self.settings.device}: trigger is true, but the camera has no TriggerMode"
             )
         if hasattr(self._nodes, "AcquisitionFrameRateEnable"):
-            self._set("AcquisitionFrameRateEnable", not triggered)
+            self._set_feature("AcquisitionFrameRateEnable", not triggered)
         if not triggered and hasattr(self._nodes, "AcquisitionFrameRate"):
-            self._set("AcquisitionFrameRate", self.settings.rate or LIVE_RATE)
+            self._set_feature("AcquisitionFrameRate", self.settings.rate or LIVE_RATE)
 
-    def _set(self, feature: str, value: object) -> None:
+    def _set_feature(self, feature: str, value: object) -> None:
         """Set a feature of the camera. If the camera refuses the value, raise an error that states
         the allowed values."""
         node = getattr(self._nodes, feature, None)
@@ -204,7 +204,7 @@ class GenicamSource(Camera):
         # last images.
         self._offsets.append(arrival - taken)
         end = taken + min(self._offsets)
-        instant = end - self._before_end_s()
+        instant = end - self._exposure_start_to_stamp_s()
         return Frame(pixels << unused if unused else pixels, encoding, instant, arrival)
 
     def _check_plugged_in(self) -> None:

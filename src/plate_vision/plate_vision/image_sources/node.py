@@ -143,8 +143,8 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
         super().__init__("camera", CameraParameters)
         self._thread: threading.Thread | None = None
         self._open = False
-        self._halt = threading.Event()
-        self.report(self._find, self._values, "camera", self._begin_report)
+        self._stop_event = threading.Event()
+        self.report(self._diagnose, self._diagnostic_values, "camera", self._begin_report)
 
     def source(self, settings: Settings, warn: Warn) -> Source:
         """Return the source of images. Tests override this method."""
@@ -175,21 +175,23 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
         # below.
         self._lock = threading.Lock()
         self._fault = ""
-        self._refused, self._refused_total, self._why = 0, 0, ""
+        self._refused, self._refused_total, self._refusal = 0, 0, ""
         self._ended = False
-        self._waits = self._played
+        self._waits_for_subscriber = self._played
         self._last_at = self._reported_at = time.monotonic()
         self._warned_at = -WARN_S
-        self._halt = threading.Event()
+        self._stop_event = threading.Event()
         self._thread = threading.Thread(
-            target=self._work, args=(self._source, self._halt, self._thread), name="camera",
+            target=self._read_images,
+            args=(self._source, self._stop_event, self._thread),
+            name="camera",
             daemon=True,
-        )  # fmt: skip
+        )
         self._thread.start()
 
     def rest(self) -> None:
         """Stop the thread that reads the images."""
-        self._halt.set()
+        self._stop_event.set()
         if self._thread is not None:
             self._thread.join(END_S)
 
@@ -208,7 +210,9 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
 
     # Functions of the thread that reads images
 
-    def _work(self, source: Source, stop: threading.Event, before: threading.Thread | None) -> None:
+    def _read_images(
+        self, source: Source, stop: threading.Event, before: threading.Thread | None
+    ) -> None:
         """Read and publish images until the source ends or `stop` is set.
 
         `before` is the thread of the previous reader. This method waits until `before` has ended
@@ -216,8 +220,8 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
         """
         if before is not None:
             before.join()
-        while self._waits and not stop.wait(POLL_S):
-            self._waits = not self._image_raw.get_subscription_count()
+        while self._waits_for_subscriber and not stop.wait(POLL_S):
+            self._waits_for_subscriber = not self._image_raw.get_subscription_count()
         while not stop.is_set():
             try:
                 if not self._open:
@@ -225,38 +229,38 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
                     self._open = True
                 frame = source.read(stop)
                 if frame is not None and not stop.is_set():
-                    self._publish(frame)
+                    self._publish_frame(frame)
                     continue
             except ImageError as error:
-                self._refuse(str(error))
+                self._report_refused_image(str(error))
                 continue
             except Exception as error:
                 # Also catch errors of the cameras' libraries. An error that is not caught would end
                 # the thread without a message.
                 if not self.context.ok():  # the shutdown of ROS has caused the error
                     break
-                self._fail(error)
+                self._report_fault(error)
                 # A source that reads files is not opened again, because it would start from the
                 # first picture.
                 if not source.live:
                     break
-                self._close(source)
+                self._close_source(source)
                 stop.wait(RETRY_S)
                 continue
             if not stop.is_set():
-                self._end()
+                self._report_end()
             break
-        self._close(source)
+        self._close_source(source)
 
-    def _close(self, source: Source) -> None:
+    def _close_source(self, source: Source) -> None:
         self._open = False
         try:
             source.close()
         except Exception as error:  # the cameras' libraries raise errors of different types
-            self._fail(error)
+            self._report_fault(error)
 
-    def _publish(self, frame: Frame) -> None:
-        stamp = self._stamp(frame.instant)
+    def _publish_frame(self, frame: Frame) -> None:
+        stamp = self._to_node_time(frame.instant)
         height, width = frame.pixels.shape[:2]
         if self._fault:
             self.get_logger().info(f"{self.options.device}: images continue")
@@ -265,7 +269,7 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
             self._watch.add(frame.pixels, frame.instant, frame.arrival)
             number = self._watch.total
         image = array_to_image(frame.pixels, stamp, frame.encoding)
-        self._camera_info.publish(self._info(image, (width, height)))
+        self._camera_info.publish(self._make_camera_info(image, (width, height)))
         self._image_raw.publish(image)
         if frame.name and not self._is_film:
             self.get_logger().info(f"image {number} is {frame.name}")
@@ -274,7 +278,7 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
     def _is_film(self) -> bool:
         return self._source.state().get("format") == "film"
 
-    def _stamp(self, instant: float) -> Time:
+    def _to_node_time(self, instant: float) -> Time:
         """Convert a time of the steady clock [s] to the node's clock."""
         for _ in range(CLOCK_READS):
             before_ns = time.monotonic_ns()
@@ -285,7 +289,7 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
                 break
         return to_time(now_ns - (before_ns + apart_ns // 2 - round(1e9 * instant)))
 
-    def _info(self, image: Image, size_px: tuple[int, int]) -> CameraInfo:
+    def _make_camera_info(self, image: Image, size_px: tuple[int, int]) -> CameraInfo:
         camera = replace(self._rig_camera, width_px=size_px[0], height_px=size_px[1])
         info = camera_to_info(camera, image.header)
         # If the size of the pictures has changed, read the lens file again. `load_lens` checks that
@@ -301,17 +305,17 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
             info.p = [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0]
         return info
 
-    def _refuse(self, why: str) -> None:
+    def _report_refused_image(self, why: str) -> None:
         with self._lock:
             self._refused += 1
             self._refused_total += 1
-            self._why = why
+            self._refusal = why
             self._last_at = now = time.monotonic()
         if now - self._warned_at >= WARN_S:
             self._warned_at = now
             self.get_logger().warning(why)
 
-    def _fail(self, error: Exception) -> None:
+    def _report_fault(self, error: Exception) -> None:
         """Record and log why no images arrive. If the device is still absent or the fault is the
         same as before, do not log it again."""
         text = str(error)
@@ -323,7 +327,7 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
             self._fault = text
         self.get_logger().error(self._fault)
 
-    def _end(self) -> None:
+    def _report_end(self) -> None:
         with self._lock:
             self._ended = True
         self.get_logger().info(f"the last of {self._watch.total} images was played")
@@ -333,15 +337,15 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
 
     # Diagnostics
 
-    def _find(self, now: float) -> Finding:
+    def _diagnose(self, now: float) -> Finding:
         with self._lock:
             findings: list[Finding | None] = [*self._watch.findings(self._source.live)]
             findings.append(
-                used("images", self._watch.images + self._refused, self._refused, self._why)
+                used("images", self._watch.images + self._refused, self._refused, self._refusal)
             )
             if self._fault:
                 findings.append(Finding(Level.ERROR, self._fault))
-            elif self._source.live and self._timed_out(now):
+            elif self._source.live and self._is_timed_out(now):
                 findings.append(
                     Finding(
                         Level.ERROR,
@@ -349,7 +353,7 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
                         f"{self._source.advice}",
                     )
                 )
-            if self._waits:
+            if self._waits_for_subscriber:
                 return worst(findings, "waiting for a subscriber of image_raw")
             if self._ended:
                 return worst(findings, f"the last of {self._watch.total} images was played")
@@ -357,11 +361,11 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
             findings.append(Finding(Level.WARN, second_publisher))
         return worst(findings, f"images from {self.options.device}")
 
-    def _timed_out(self, now: float) -> bool:
+    def _is_timed_out(self, now: float) -> bool:
         allowed = TIMEOUT_IMAGES / self.options.rate if self.options.rate else 0.0
         return now - self._last_at > max(TIMEOUT_S, allowed)
 
-    def _values(self) -> Mapping[str, object]:
+    def _diagnostic_values(self) -> Mapping[str, object]:
         now, watch = time.monotonic(), self._watch
         return {
             "device": self.options.device,

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..camera import Pictures, read_pictures
 from ..errors import ImageError
-from .source import FORMATS, CameraError, Frame, Settings, Warn, unpack_frame
+from .source import FORMATS, CameraError, Frame, Settings, Warn, decode_frame
 
 PICTURE_RATE = 2.0
 """Default rate of the pictures of a folder [1/s]."""
@@ -140,7 +140,7 @@ class PipeSource:
                 )
             have += count
         arrival = self._clock()
-        pixels, encoding = unpack_frame(data, self._form, self._settings.size_px)
+        pixels, encoding = decode_frame(data, self._form, self._settings.size_px)
         return Frame(pixels, encoding, arrival - self._settings.before_stamp_s, arrival)
 
     def change(self, settings: Settings) -> None:

@@ -230,14 +230,14 @@ class Camera(ABC):
             self._apply_settings()
             raise
 
-    def _before_end_s(self) -> float:
+    def _exposure_start_to_stamp_s(self) -> float:
         """Return the time from the start of the exposure to a stamp that is taken after the end of
         the exposure [s]."""
         exposure_us = self.settings.exposure_us or self._exposure_us() or 0.0
         return 1e-6 * (exposure_us + self.settings.readout_us)
 
 
-def unpack_frame(data: np.ndarray, form: str, size_px: tuple[int, int]) -> tuple[np.ndarray, str]:
+def decode_frame(data: np.ndarray, form: str, size_px: tuple[int, int]) -> tuple[np.ndarray, str]:
     """Return pixels and encoding of a frame from a camera or a pipe.
 
     Parameters

@@ -86,13 +86,13 @@ def listing(paths: Iterable[str]) -> Iterator[str]:
             yield str(error)
             continue
         count += 1
-        yield from _described(device)
+        yield from _describe_device(device)
         device.close()
     if not count:
         yield "no video devices; check that a camera is plugged in and its driver works (dmesg)"
 
 
-def _described(device: V4l2Device) -> Iterator[str]:
+def _describe_device(device: V4l2Device) -> Iterator[str]:
     yield f"{device.path}: {device.name} (driver {device.driver})"
     for form, text in device.formats().items():
         yield f"  {form}{'' if form in FORMATS else ' (not read by the camera node)'}: {text}"

@@ -22,7 +22,7 @@ from .source import (
     Frame,
     Settings,
     Warn,
-    unpack_frame,
+    decode_frame,
 )
 from .v4l2_device import (
     AUTO_EXPOSURE,
@@ -107,15 +107,15 @@ class V4l2Source(Camera):
         try:
             device = self._device = self._make_device(self.path)
             device.check_free()
-            self._form = self._choose(device)
+            self._form = self._choose_format(device)
             self._apply_settings()
-            self._capture = self._started()
+            self._capture = self._open_reader()
         except BaseException:
             self.close()
             raise
         self._stamps_known = False
 
-    def _choose(self, device: V4l2Device) -> str:
+    def _choose_format(self, device: V4l2Device) -> str:
         """Return the format that the settings contain. If the settings have no format, return the
         first format that has this size and rate."""
         requested, size_px = self.settings, self.settings.size_px
@@ -130,7 +130,7 @@ class V4l2Source(Camera):
         forms = [requested.format] if requested.format else has
         fit = [form for form in forms if any(size.holds(size_px) for size in offers[form])]
         if not fit:
-            sizes = "; ".join(f"{form} {_listed(offers[form])}" for form in forms)
+            sizes = "; ".join(f"{form} {_sizes_text(offers[form])}" for form in forms)
             raise CameraError(
                 f"{self.path}: size is {size_px[0]} x {size_px[1]} px, allowed by {device.name}: "
                 f"{sizes or known}"
@@ -157,7 +157,7 @@ class V4l2Source(Camera):
         self._rate = min(rate, max(rates[form])) if rates[form] else rate
         return form
 
-    def _started(self) -> Any:
+    def _open_reader(self) -> Any:
         """Open OpenCV's reader, set its format, size and rate, and return it."""
         width, height = self.settings.size_px
         capture = self._make_capture(self.path)
@@ -209,7 +209,7 @@ class V4l2Source(Camera):
             control = has.get(number)
             if getattr(values, name):
                 if control is None:
-                    raise self._missing(name, "true")
+                    raise self._no_control_error(name, "true")
                 done = device.set(number, control.default if control.default != off else 1 - off)
             else:
                 done = control is None or device.set(number, off)
@@ -232,7 +232,7 @@ class V4l2Source(Camera):
                 continue
             value, control = getattr(values, name), has.get(number)
             if control is None:
-                raise self._missing(name, f"{value:g}")
+                raise self._no_control_error(name, f"{value:g}")
             if not control.low * unit <= value <= control.high * unit:
                 raise CameraError(
                     f"{self.path}: {name} is {value:g}, allowed by {device.name}: "
@@ -244,7 +244,7 @@ class V4l2Source(Camera):
                     f"v4l2-ctl -d {self.path} --list-ctrls"
                 )
 
-    def _missing(self, name: str, value: str) -> CameraError:
+    def _no_control_error(self, name: str, value: str) -> CameraError:
         return CameraError(
             f"{self.path}: {name} is {value}, but the device has no such control; "
             f"v4l2-ctl -d {self.path} --list-ctrls lists its controls"
@@ -268,7 +268,7 @@ class V4l2Source(Camera):
         there, data = self._capture.retrieve()
         stamp = 1e-3 * self._capture.get(cv2.CAP_PROP_POS_MSEC)
         if not self._stamps_known:
-            self._learn_stamps(arrival - stamp)
+            self._identify_stamp_source(arrival - stamp)
         if not there:
             raise CameraError(f"{self.path}: the camera delivers no images; it may be unplugged")
         if self._at_start is not None and not 0 <= arrival - stamp < OLDEST_S:
@@ -277,12 +277,12 @@ class V4l2Source(Camera):
                 f"0 to {OLDEST_S:g} s; the computer may have stalled"
             )
         form = self._form
-        pixels, encoding = unpack_frame(np.asarray(data), form, self.settings.size_px)
+        pixels, encoding = decode_frame(np.asarray(data), form, self.settings.size_px)
         end = arrival if self._at_start is None else stamp
-        instant = end if self._at_start else end - self._before_end_s()
+        instant = end if self._at_start else end - self._exposure_start_to_stamp_s()
         return Frame(pixels, encoding, instant, arrival)
 
-    def _learn_stamps(self, age: float) -> None:
+    def _identify_stamp_source(self, age: float) -> None:
         """Determine from the age [s] of the first image's stamp whether stamps are usable, and
         whether they refer to the start or the end of the exposure."""
         self._stamps_known = True
@@ -323,5 +323,5 @@ class V4l2Source(Camera):
         self._capture = self._device = None
 
 
-def _listed(sizes: list[Size]) -> str:
+def _sizes_text(sizes: list[Size]) -> str:
     return ", ".join(map(str, sizes))

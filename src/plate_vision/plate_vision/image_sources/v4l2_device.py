@@ -116,10 +116,10 @@ class V4l2Device:
             self._file = os.open(path, os.O_RDWR | os.O_NONBLOCK)
         except OSError as error:
             kind = AbsentError if error.errno in ABSENT else CameraError
-            raise kind(explained(path, error)) from None
+            raise kind(error_text(path, error)) from None
         try:
             found = self._query(QUERYCAP, bytearray(104))
-            self.driver, self.name = _text(found[0:16]), _text(found[16:48])
+            self.driver, self.name = _decode_text(found[0:16]), _decode_text(found[16:48])
             of_all, of_this = struct.unpack_from("II", found, 84)
             if not (of_this if of_all & HAS_DEVICE_CAPS else of_all) & CAN_CAPTURE:
                 raise NoImagesError(
@@ -128,7 +128,7 @@ class V4l2Device:
                 )
         except OSError as error:
             self.close()
-            raise CameraError(explained(path, error)) from None
+            raise CameraError(error_text(path, error)) from None
         except CameraError:
             self.close()
             raise
@@ -161,19 +161,21 @@ class V4l2Device:
             self._query(S_FMT, self._query(G_FMT, data))
         except OSError as error:
             if error.errno == errno.EBUSY:
-                raise CameraError(explained(self.path, error)) from None
+                raise CameraError(error_text(self.path, error)) from None
 
     def formats(self) -> dict[str, str]:
         """Return the device's formats: the description by code."""
         found = {}
-        for data in self._each(ENUM_FMT, 64, lambda k: struct.pack("II", k, CAPTURE)):
-            found[_text(data[44:48]).rstrip()] = _text(data[12:44])
+        for data in self._list_entries(ENUM_FMT, 64, lambda k: struct.pack("II", k, CAPTURE)):
+            found[_decode_text(data[44:48]).rstrip()] = _decode_text(data[12:44])
         return found
 
     def sizes(self, form: str) -> list[Size]:
         """Return the sizes of a format."""
         found = []
-        for data in self._each(FRAMESIZES, 44, lambda k: struct.pack("II", k, fourcc(form))):
+        for data in self._list_entries(
+            FRAMESIZES, 44, lambda k: struct.pack("II", k, fourcc(form))
+        ):
             (kind,) = struct.unpack_from("I", data, 8)
             if kind == DISCRETE:
                 size = struct.unpack_from("II", data, 12)
@@ -188,7 +190,7 @@ class V4l2Device:
         range, return its two ends."""
         found = []
         head = (fourcc(form), *size_px)
-        for data in self._each(FRAMEINTERVALS, 52, lambda k: struct.pack("IIII", k, *head)):
+        for data in self._list_entries(FRAMEINTERVALS, 52, lambda k: struct.pack("IIII", k, *head)):
             (kind,) = struct.unpack_from("I", data, 16)
             ends = struct.unpack_from("IIII", data, 20)
             found += [ends[1] / max(1, ends[0])]
@@ -197,7 +199,9 @@ class V4l2Device:
                 break
         return tuple(sorted(set(found)))
 
-    def _each(self, request: int, size: int, head: Callable[[int], bytes]) -> Iterator[bytearray]:
+    def _list_entries(
+        self, request: int, size: int, head: Callable[[int], bytes]
+    ) -> Iterator[bytearray]:
         """Yield the entries of a list until the driver reports an error."""
         for k in range(MAX_ENTRIES):
             data = bytearray(size)
@@ -226,18 +230,18 @@ class V4l2Device:
                 continue
             value = self.get(number)
             if value is not None:
-                menu = self._menu(number, low, high) if kind == MENU else ()
-                name = _text(data[8:40])
+                menu = self._read_menu(number, low, high) if kind == MENU else ()
+                name = _decode_text(data[8:40])
                 found[number] = Control(number, name, low, high, step, default, value, menu)
         return found
 
-    def _menu(self, number: int, low: int, high: int) -> tuple[str, ...]:
+    def _read_menu(self, number: int, low: int, high: int) -> tuple[str, ...]:
         found = []
         for index in range(max(0, low), min(high, low + MAX_ENTRIES) + 1):
             data = bytearray(44)
             struct.pack_into("II", data, 0, number, index)
             with suppress(OSError):
-                found.append(f"{index}: {_text(self._query(QUERYMENU, data)[8:40])}")
+                found.append(f"{index}: {_decode_text(self._query(QUERYMENU, data)[8:40])}")
         return tuple(found)
 
     def get(self, number: int) -> int | None:
@@ -275,11 +279,11 @@ class V4l2Device:
         return flags & CLOCK_MASK == MONOTONIC, flags & SOURCE_MASK == START_OF_EXPOSURE
 
 
-def _text(data: bytes | bytearray) -> str:
+def _decode_text(data: bytes | bytearray) -> str:
     return bytes(data).split(b"\0")[0].decode("utf-8", "replace")
 
 
-def explained(path: str, error: OSError) -> str:
+def error_text(path: str, error: OSError) -> str:
     """Return a message that describes a system error of a device and its remedy."""
     match error.errno:
         case number if number in ABSENT:

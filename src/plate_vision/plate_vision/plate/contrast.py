@@ -75,7 +75,7 @@ def contrast_image(channels: Channels, region: Region) -> LitPlate | None:
     return fit_light(out, region, 1.0)
 
 
-def find_odd(
+def find_deviating_pixels(
     channels: Channels, limit: float, grid: tuple[int, int, int], shape: tuple[int, int]
 ) -> np.ndarray:
     """Return (h, w) uint8, which is 1 where a pixel of a grid deviates from the plate by more than

@@ -60,9 +60,9 @@ def find_plate_corners(
     CalibrationError
         If the outline is not visible on all four sides.
     """
-    starts = [np.array(rig.camera.corners_px, float), *_quadrilaterals(image, rig)]
+    starts = [np.array(rig.camera.corners_px, float), *_find_quadrilaterals(image, rig)]
     for start in starts:
-        found = _refined(image, rig, lens, start)
+        found = _refine_by_edges(image, rig, lens, start)
         if found is not None:
             return found
     raise CalibrationError(
@@ -71,12 +71,12 @@ def find_plate_corners(
     )
 
 
-def _refined(
+def _refine_by_edges(
     image: np.ndarray, rig: Rig, lens: Lens | None, corners_px: np.ndarray
 ) -> tuple[np.ndarray, float] | None:
     error = np.inf
     for _ in range(ROUNDS):
-        rig = replace(rig, camera=replace(rig.camera, corners_px=_pairs(corners_px)))
+        rig = replace(rig, camera=replace(rig.camera, corners_px=_to_pairs(corners_px)))
         try:
             calibration = calibrate_by_rig(rig, lens)
         except CalibrationError:
@@ -85,14 +85,14 @@ def _refined(
         outline = measure_outline(image, grid)
         if not np.all(outline.seen):
             return None
-        corners, error = _corners_of(outline, grid)
+        corners, error = _intersect_edges(outline, grid)
         corners_px = calibration.to_image(corners)
         if float(np.max(np.abs(corners - rig.plate.corners))) < SETTLED_M:
             break
     return corners_px, error
 
 
-def _corners_of(outline: Outline, grid: OutlineGrid) -> tuple[np.ndarray, float]:
+def _intersect_edges(outline: Outline, grid: OutlineGrid) -> tuple[np.ndarray, float]:
     """Return the intersections of the measured edges (4, 2) [m], in the order of `Plate.corners`.
     Also return the root mean square of the edges' bows [m]."""
     ends = edge_points(grid.half, np.array([-1.0, 1.0]))  # (4, 2, 2)
@@ -109,7 +109,7 @@ def _corners_of(outline: Outline, grid: OutlineGrid) -> tuple[np.ndarray, float]
     return np.array(corners), float(np.sqrt(np.mean(bow**2)))
 
 
-def _quadrilaterals(image: np.ndarray, rig: Rig) -> list[np.ndarray]:
+def _find_quadrilaterals(image: np.ndarray, rig: Rig) -> list[np.ndarray]:
     """Return the corners (4, 2) [px] of large quadrilaterals that are brighter or darker than the
     rest. The largest quadrilateral comes first. The corners are in the order of the rig's
     corners."""
@@ -128,29 +128,32 @@ def _quadrilaterals(image: np.ndarray, rig: Rig) -> list[np.ndarray]:
             if len(corners) == 4:
                 found.append((area, corners.astype(float)))
     found.sort(key=lambda one: -one[0])
-    return [_ordered(corners, rig) for _, corners in found]
+    return [_order_corners(corners, rig) for _, corners in found]
 
 
-def _ordered(corners_px: np.ndarray, rig: Rig) -> np.ndarray:
+def _order_corners(corners_px: np.ndarray, rig: Rig) -> np.ndarray:
     """Return corners (4, 2) [px] in the order of the rig's corners: with the same sense of rotation
     and the same first corner. The directions of the corners from the middle are compared, because a
     shift does not change these directions."""
     known = np.array(rig.camera.corners_px, float)
-    if _area(corners_px) * _area(known) < 0:
+    if _signed_area(corners_px) * _signed_area(known) < 0:
         corners_px = corners_px[::-1]
     orders = [np.roll(corners_px, -k, axis=0) for k in range(4)]
-    return min(orders, key=lambda one: float(np.sum((_normalised(one) - _normalised(known)) ** 2)))
+    return min(
+        orders,
+        key=lambda one: float(np.sum((_normalise_corners(one) - _normalise_corners(known)) ** 2)),
+    )
 
 
-def _normalised(corners_px: np.ndarray) -> np.ndarray:
+def _normalise_corners(corners_px: np.ndarray) -> np.ndarray:
     away = corners_px - corners_px.mean(axis=0)
     return np.asarray(away / np.sqrt(np.mean(away**2)))
 
 
-def _area(corners_px: np.ndarray) -> float:
+def _signed_area(corners_px: np.ndarray) -> float:
     x, y = corners_px.T
     return 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
 
 
-def _pairs(corners_px: np.ndarray) -> tuple[tuple[float, float], ...]:
+def _to_pairs(corners_px: np.ndarray) -> tuple[tuple[float, float], ...]:
     return tuple((float(x), float(y)) for x, y in corners_px)

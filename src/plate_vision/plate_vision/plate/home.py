@@ -106,8 +106,8 @@ def locate_plate(location: PlateLocation, image: np.ndarray) -> tuple[PlateLocat
     pose = find_pose(image, fiducials, home, location.pose)
     used = location.region_pose
     here = pose if pose is not None else np.zeros(3) if used is None else used
-    if used is None or _displacement(rig, here, used) > MOVED_M:
-        used = here if _displacement(rig, here, np.zeros(3)) > MOVED_M else np.zeros(3)
+    if used is None or _max_corner_displacement(rig, here, used) > MOVED_M:
+        used = here if _max_corner_displacement(rig, here, np.zeros(3)) > MOVED_M else np.zeros(3)
     location = replace(location, home=home, pose=pose, region_pose=used)
     return location, hide_markers(image, fiducials, home, here)
 
@@ -189,13 +189,13 @@ def find_pose(
     if last is not None:
         around = home.to_image(to_home(last, fiducials.corners.reshape(-1, 2)))
         corners = square_corners(grey, around.reshape(-1, 4, 2))
-        pose = _pose(fiducials, home, corners, FOLLOWED_FIT_M)
+        pose = _estimate_pose(fiducials, home, corners, FOLLOWED_FIT_M)
         if pose is not None:
             return pose
     found = find_markers(grey, fiducials.dictionary)
     unseen = np.full((4, 2), np.nan)
     corners = np.array([found.get(number, unseen) for number in fiducials.numbers])
-    return _pose(fiducials, home, corners, WORST_FIT_M)
+    return _estimate_pose(fiducials, home, corners, WORST_FIT_M)
 
 
 def fit_pose(point: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, float]:
@@ -232,7 +232,7 @@ def hide_markers(
     return copy
 
 
-def _pose(
+def _estimate_pose(
     fiducials: Fiducials, home: Calibration, corners_px: np.ndarray, worst: float
 ) -> np.ndarray | None:
     """Return the pose determined by corners (n, 4, 2) [px]. Corners that are not visible are NaN.
@@ -246,7 +246,7 @@ def _pose(
     return None if error > worst else pose
 
 
-def _displacement(rig: Rig, pose: np.ndarray, other: np.ndarray) -> float:
+def _max_corner_displacement(rig: Rig, pose: np.ndarray, other: np.ndarray) -> float:
     """Return the maximum displacement of the plate's corners between two poses, per axis [m]."""
     corners = rig.plate.corners
     return float(np.abs(to_home(pose, corners) - to_home(other, corners)).max())

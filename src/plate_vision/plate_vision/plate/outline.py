@@ -251,7 +251,7 @@ def measure_outline(image: np.ndarray, grid: OutlineGrid, limit: float | None = 
     `limit` is the maximum distance from the predicted edges [m]. None: the maximum distance of the
     grid.
     """
-    smooth = cv2.GaussianBlur(contrasted(image, grid), (0, 0), SMOOTH_PX)
+    smooth = cv2.GaussianBlur(contrast_channel(image, grid), (0, 0), SMOOTH_PX)
     edges = np.full((4, 3), np.nan)
     rng = np.random.default_rng(0)  # a fixed seed, so that the same image gives the same result
     for edge in range(4):
@@ -269,7 +269,7 @@ def measure_outline(image: np.ndarray, grid: OutlineGrid, limit: float | None = 
     return Outline(edges)
 
 
-def contrasted(image: np.ndarray, grid: OutlineGrid) -> np.ndarray:
+def contrast_channel(image: np.ndarray, grid: OutlineGrid) -> np.ndarray:
     """Return an image (H, W) float32 with one channel in which the plate and its surround differ.
     For an image (H, W), the result contains the grey levels. For an image (H, W, 3), the result
     contains the projections of the colours on the line from the surround's colour to the plate's
@@ -304,7 +304,7 @@ def _fit_edge(
     An edge near the predicted edge is preferred to a clearer edge that is farther away. The farther
     edge may belong to a frame, a shadow or a table.
     """
-    candidate = _steps(profile, grid.offset)
+    candidate = _find_steps(profile, grid.offset)
     best, best_support = None, SUPPORT
     for reach in (grid.near, np.inf if limit is None else limit):
         for signed in candidate:
@@ -334,7 +334,7 @@ def _is_line(profile: np.ndarray, offset: np.ndarray, curve: np.ndarray, along: 
     return abs(sides[1] - sides[0]) < MIN_STEP
 
 
-def _steps(profile: np.ndarray, offset: np.ndarray) -> list[np.ndarray]:
+def _find_steps(profile: np.ndarray, offset: np.ndarray) -> list[np.ndarray]:
     """Return the offsets (S, CANDIDATES) [m] of the strongest falling steps of profiles (S, D), and
     of the strongest rising steps. The offsets of missing steps are NaN."""
     reach = np.arange(-4, 5)
@@ -429,7 +429,7 @@ class Deviation:
     worst: float
 
 
-def deviation_of(outline: Outline, grid: OutlineGrid) -> Deviation:
+def measure_deviation(outline: Outline, grid: OutlineGrid) -> Deviation:
     """Return the deviation of an outline with at least `MIN_EDGES` visible edges.
 
     n is the outward normal of an edge, p a point of the edge, and s the stretch. The least-squares
@@ -528,18 +528,18 @@ class OutlineCheck:
         moves.
         """
         waits = self.done and not self.measured
-        waits = waits and (moving or 0 <= stamp - self.stamp < self._wait)
+        waits = waits and (moving or 0 <= stamp - self.stamp < self._recheck_interval_s)
         if self.agrees or waits:
             return self
         measured = (*self.measured, measure_outline(image, self.grid))
         check = replace(self, measured=measured, stamp=stamp, moving=self.moving or moving)
-        return check._evaluated(image) if len(measured) >= IMAGES else check
+        return check._evaluate(image) if len(measured) >= IMAGES else check
 
     @property
-    def _wait(self) -> float:
+    def _recheck_interval_s(self) -> float:
         return UNSEEN_S if self.finding is None else RECHECK_S
 
-    def _evaluated(self, image: np.ndarray) -> OutlineCheck:
+    def _evaluate(self, image: np.ndarray) -> OutlineCheck:
         """Return a copy with the result of all images. `image` is the last image."""
         grid = self.grid
         every = np.stack([one.edges for one in self.measured])
@@ -554,7 +554,7 @@ class OutlineCheck:
         finding, text = evaluate_outline(*facts, marked=self.marked)
         seen = int(np.count_nonzero(outline.seen)) >= MIN_EDGES
         if not self.marked and (finding is not None or not seen):
-            finding, text = evaluate_outline(*facts, fitting_flips(image, grid))
+            finding, text = evaluate_outline(*facts, find_fitting_flips(image, grid))
         if moving and finding is None and self.finding is not None:
             # Keep the last finding: images of a moving plate cannot prove that it is no longer
             # true.
@@ -584,9 +584,9 @@ def evaluate_outline(
     count = int(np.count_nonzero(outline.seen))
     if count < MIN_EDGES:
         if flips:
-            return _flipped(flips)
+            return _flip_finding(flips)
         return None, "not seen" if count == 0 else f"not seen, only {count} of 4 edges"
-    found = deviation_of(outline, grid)
+    found = measure_deviation(outline, grid)
     stroke = grid.stroke if moving else 0.0
     shifted = np.hypot(*found.shift) > grid.near + np.sqrt(2) * stroke
     turned = abs(found.rotation) > MAX_ROTATION_RAD + 2 * stroke / float(grid.half.min())
@@ -600,8 +600,8 @@ def evaluate_outline(
             return None, "its shape is as predicted, but the plate moves"
         return None, f"as predicted, within {1e3 * found.worst:.2g} mm"
     if flips and (found.bowed or reshaped or found.worst > MOVED_RADII * radius):
-        return _flipped(flips)
-    cause = _lens_text(found, bends) if found.bowed else _moved_text(found)
+        return _flip_finding(flips)
+    cause = _lens_cause(found, bends) if found.bowed else _camera_cause(found)
     if flips:
         cause += f"; or the image is {' or '.join(flips)}"
     level = Level.ERROR if flips or found.worst > radius + stroke else Level.WARN
@@ -613,7 +613,7 @@ def evaluate_outline(
     return Finding(level, message), cause
 
 
-def _flipped(flips: tuple[str, ...]) -> tuple[Finding, str]:
+def _flip_finding(flips: tuple[str, ...]) -> tuple[Finding, str]:
     cause = f"the image is {' or '.join(flips)}"
     message = (
         f"{cause}, because the plate's outline agrees with corners_px only in this way; change it "
@@ -622,7 +622,7 @@ def _flipped(flips: tuple[str, ...]) -> tuple[Finding, str]:
     return Finding(Level.ERROR, message), cause
 
 
-def _lens_text(found: Deviation, bends: bool) -> str:
+def _lens_cause(found: Deviation, bends: bool) -> str:
     side = "outwards" if found.bow > 0 else "inwards"
     kind = "barrel" if found.bow > 0 else "pincushion"
     bent = f"its edges bend {side} by {abs(found.bow_px):.1f} px in the middle"
@@ -634,7 +634,7 @@ def _lens_text(found: Deviation, bends: bool) -> str:
     return f"{bent}, because the {kind} distortion is unknown (calibrate lens, then camera_file)"
 
 
-def _moved_text(found: Deviation) -> str:
+def _camera_cause(found: Deviation) -> str:
     (x, y), (along, across) = found.shift, found.stretch
     is_ = ["it"]
     if np.hypot(x, y) >= SHIFT_TEXT_M:
@@ -667,7 +667,7 @@ def _percent(change: float) -> str:
     return f"{100 * abs(change):.1f} % {'larger' if change >= 0 else 'smaller'}"
 
 
-def fitting_flips(image: np.ndarray, grid: OutlineGrid) -> tuple[str, ...]:
+def find_fitting_flips(image: np.ndarray, grid: OutlineGrid) -> tuple[str, ...]:
     """Return the flips of `FLIPS` with which the outline in an image (H, W) or (H, W, 3) agrees on
     all four edges. The result is empty if the outline agrees without a flip."""
     if np.all(measure_outline(image, grid, grid.near).within(grid.near)):

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .. import _kernels
-from ..camera.lens import check_quadrilateral, cross
+from ..camera.lens import check_quadrilateral, cross_products
 from ..errors import ImageError
 
 SEAM_PX: float = _kernels.SEAM_PX
@@ -101,14 +101,14 @@ class Region:
     def outside(self, step: int) -> np.ndarray:
         """Whether a pixel is not usable, for every `step`-th row and column of the box: bool. The
         result is cached."""
-        known = self._outside
+        known = self._outside_by_step
         if step not in known:
             x0, y0, x1, y1 = self.box
             known[step] = ~self.usable[y0:y1:step, x0:x1:step]
         return known[step]
 
     @cached_property
-    def _outside(self) -> dict[int, np.ndarray]:
+    def _outside_by_step(self) -> dict[int, np.ndarray]:
         return {}
 
     @cached_property
@@ -121,11 +121,11 @@ class Region:
         rows, columns = rows[inside], columns[inside]
         place = 0.5 * (x0 + x1), 0.5 * (y0 + y1), 2 / max(x1 - x0, y1 - y0)
         u, v = (columns - place[0]) * place[2], (rows - place[1]) * place[2]
-        design = np.ascontiguousarray(quadratic(u, v).T.astype(np.float32))
+        design = np.ascontiguousarray(quadratic_terms(u, v).T.astype(np.float32))
         return Samples(rows, columns, design, np.array(place, np.float32))
 
 
-def quadratic(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+def quadratic_terms(u: np.ndarray, v: np.ndarray) -> np.ndarray:
     """Return the terms (n, 6) of a quadratic surface at places u, v (n,)."""
     return np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=-1)
 
@@ -167,7 +167,7 @@ def make_region(size_px: tuple[int, int], outline_px: np.ndarray | None = None) 
             f"allowed: inside the image of {width} x {height} px"
         )
     sides = np.roll(corners, -1, axis=0) - corners
-    sense = np.sign(cross(sides, np.roll(sides, -1, axis=0))[0])
+    sense = np.sign(cross_products(sides, np.roll(sides, -1, axis=0))[0])
     length = np.linalg.norm(sides, axis=1)[:, None]
     normals = sense * np.stack([-sides[:, 1], sides[:, 0]], axis=1) / length
     offsets = -np.sum(normals * corners, axis=1)
@@ -175,12 +175,12 @@ def make_region(size_px: tuple[int, int], outline_px: np.ndarray | None = None) 
         size_px,
         points.reshape(-1, 2),
         np.column_stack([normals, offsets]),
-        _bows(points, normals, offsets) if points.shape[1] > 1 else no_bows,
+        _fit_bows(points, normals, offsets) if points.shape[1] > 1 else no_bows,
         (int(low[0]), int(low[1]), int(high[0]), int(high[1])),
     )
 
 
-def _bows(points: np.ndarray, normals: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+def _fit_bows(points: np.ndarray, normals: np.ndarray, offsets: np.ndarray) -> np.ndarray:
     """Return `Region.bows`, fitted to points (4, n, 2) [px] of the edges."""
     bows = []
     corners = np.roll(points[:, 0], -1, axis=0)

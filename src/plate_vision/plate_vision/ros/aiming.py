@@ -32,10 +32,10 @@ from ..aiming import (
     Situation,
     edge_blur_px,
     light_finding,
-    light_on_plate,
+    measure_light,
+    measure_sharpness,
     outline_finding,
     outline_px,
-    sharpness_of,
     size_finding,
 )
 from ..camera import Board, Lens, LensFit, grey_levels, lens_keys, rig_lens
@@ -129,7 +129,7 @@ class AimingView:
         node.managed_service(Trigger, "~/fit_lens", self._on_fit)
         node.managed_service(Trigger, "~/save_lens", self._on_save)
         node.managed_timer(TIMEOUT_S, self._report_timeout)
-        done = node.create_guard_condition(self._take_results)
+        done = node.create_guard_condition(self._run_results)
         node.keep(node.destroy_guard_condition, done)
         self._wake = done.trigger
         self._pool: ThreadPoolExecutor | None = None
@@ -170,14 +170,16 @@ class AimingView:
             return
         self._measured_at = now
         situation = self._situation()
-        self._job = self._pool.submit(self._measure, image, stamp, refused, situation)
+        self._job = self._pool.submit(self._measure_image, image, stamp, refused, situation)
 
     # The functions below run on the worker thread.
 
-    def _measure(self, image: np.ndarray, stamp: Time, refused: str, situation: Situation) -> None:
+    def _measure_image(
+        self, image: np.ndarray, stamp: Time, refused: str, situation: Situation
+    ) -> None:
         try:
-            self._step(image, situation)
-            msg = self._message(image, stamp, refused, situation)
+            self._process_requests(image, situation)
+            msg = self._make_message(image, stamp, refused, situation)
         except Exception as error:
             # Log the error here. The thread pool would only store it in the future, where nobody
             # reads it.
@@ -193,7 +195,7 @@ class AimingView:
         self._results.append(result)
         self._wake()
 
-    def _step(self, image: np.ndarray, situation: Situation) -> None:
+    def _process_requests(self, image: np.ndarray, situation: Situation) -> None:
         """If requested, search the image for the plate at home or for a calibration board."""
         if self._home_requested:
             self._home_requested = False
@@ -237,7 +239,7 @@ class AimingView:
         self._home = f"found, {by}; corners_px: {corners_text(self._corners)}"
         self._run_on_executor(lambda: self._take_corners(corners_px))
 
-    def _fit(self, lens: LensJob) -> None:
+    def _fit_lens(self, lens: LensJob) -> None:
         assert lens.pictures is not None
         try:
             fit = lens.pictures.fit(lens.model)
@@ -254,7 +256,9 @@ class AimingView:
         if self._lens is lens:  # false if the user has discarded the pictures
             self._lens = replace(lens, state=LensPictures.FITTED, text=text, fit=fit)
 
-    def _message(self, image: np.ndarray, stamp: Time, refused: str, situation: Situation) -> Aim:
+    def _make_message(
+        self, image: np.ndarray, stamp: Time, refused: str, situation: Situation
+    ) -> Aim:
         msg = Aim(header=Header(stamp=stamp, frame_id="camera_optical_frame"))
         msg.height, msg.width = image.shape[:2]
         checks: list[tuple[str, Finding]] = []
@@ -265,7 +269,7 @@ class AimingView:
         # While the user shows a board to the camera, the board hides the plate.
         board = self._lens is not None
         if (msg.width, msg.height) == situation.vision.region.size_px:
-            checks += self._measured(msg, image, seconds(stamp), situation, board)
+            checks += self._measure_plate(msg, image, seconds(stamp), situation, board)
         known = [] if refused or board else situation.things
         msg.things = [
             SeenThing(
@@ -286,45 +290,45 @@ class AimingView:
             for name, found in checks
         ]
         msg.home, msg.home_found = self._home, bool(self._corners)
-        msg.lens = self._progress()
+        msg.lens = self._lens_progress()
         return msg
 
-    def _measured(
+    def _measure_plate(
         self, msg: Aim, image: np.ndarray, stamp: float, situation: Situation, board: bool
     ) -> list[tuple[str, Finding]]:
         """Measure an image of the correct size, fill in the message, and return the checks. While
         pictures of a board are taken, only light and sharpness are measured."""
-        measured = self._field
-        if measured is None or measured.vision.region is not situation.vision.region:
-            measured = AimField.of(situation.rig, situation.vision, situation.expected)
-            self._field, self._focus = measured, Focus()
-        light = light_on_plate(image, measured)
+        field = self._field
+        if field is None or field.vision.region is not situation.vision.region:
+            field = AimField.of(situation.rig, situation.vision, situation.expected)
+            self._field, self._focus = field, Focus()
+        light = measure_light(image, field)
         msg.black, msg.white = light.black, light.white
         msg.histogram = light.histogram.astype(np.uint32)
-        msg.part_px_min, msg.part_px_max = measured.part_px
-        msg.sharpness = sharpness_of(image, measured)
+        msg.part_px_min, msg.part_px_max = field.part_px
+        msg.sharpness = measure_sharpness(image, field)
         msg.sharpness_best = msg.sharpness_change = math.nan
         if board:  # the sharpness of a board cannot be compared with the sharpness of the plate
             return []
-        outline = measure_outline(image, measured.grid)
-        blur_px = math.nan if situation.moving else edge_blur_px(image, outline, measured)
+        outline = measure_outline(image, field.grid)
+        blur_px = math.nan if situation.moving else edge_blur_px(image, outline, field)
         self._focus = focus = self._focus.add(stamp, msg.sharpness, blur_px)
         msg.sharpness_best, msg.sharpness_change = focus.best, focus.change
-        msg.expected = points(situation.vision.region.outline_px)
-        msg.seen = points(outline_px(outline, measured))
+        msg.expected = points_to_msg(situation.vision.region.outline_px)
+        msg.seen = points_to_msg(outline_px(outline, field))
         return [
-            ("light", light_finding(image, light, measured)),
+            ("light", light_finding(image, light, field)),
             ("focus", focus.finding),
-            ("outline", outline_finding(image, outline, measured, situation.moving)),
-            ("size", size_finding(measured.part_px)),
+            ("outline", outline_finding(image, outline, field, situation.moving)),
+            ("size", size_finding(field.part_px)),
         ]
 
-    def _progress(self) -> LensPictures:
+    def _lens_progress(self) -> LensPictures:
         lens, msg = self._lens, LensPictures(needed=MIN_PICTURES, file=str(self._path))
         msg.cover_columns, msg.cover_rows, msg.error_px = COLUMNS, ROWS, math.nan
         if lens is None:
             return msg
-        msg.state, msg.text, msg.corners = lens.state, lens.text, points(lens.seen_px)
+        msg.state, msg.text, msg.corners = lens.state, lens.text, points_to_msg(lens.seen_px)
         if lens.pictures is not None:
             msg.kept = len(lens.pictures.kept)
             msg.cover = lens.pictures.cover.tolist()
@@ -335,7 +339,7 @@ class AimingView:
 
     # The functions below run on the thread of the ROS executor.
 
-    def _take_results(self) -> None:
+    def _run_results(self) -> None:
         while self._results:
             result = self._results.pop(0)
             if self._node.active:
@@ -355,7 +359,7 @@ class AimingView:
             text = f"no image for {image_age_s:.0f} s; check that the camera runs"
         msg.checks = [AimCheck(name="picture", level=AimCheck.ERROR, text=text)]
         msg.home, msg.home_found = self._home, bool(self._corners)
-        msg.lens = self._progress()
+        msg.lens = self._lens_progress()
         self._publisher.publish(msg)
 
     def _on_find_home(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -417,7 +421,7 @@ class AimingView:
             response.message = "the lens is being fitted"
             return response
         self._lens = replace(lens, state=LensPictures.FITTING, text="the lens is being fitted")
-        pool.submit(self._fit, self._lens)
+        pool.submit(self._fit_lens, self._lens)
         response.success, response.message = True, f"the lens is fitted to {kept} pictures"
         return response
 
@@ -459,7 +463,7 @@ def corners_text(corners: Sequence[tuple[float, float]]) -> str:
     return "[" + ", ".join(f"[{x:.2f}, {y:.2f}]" for x, y in corners) + "]"
 
 
-def points(place_px: np.ndarray) -> list[Point]:
+def points_to_msg(place_px: np.ndarray) -> list[Point]:
     """Return image points (n, 2) [px] as messages. Points outside the lens's field of view are
     omitted."""
     return [Point(x=x, y=y) for x, y in place_px.tolist() if math.isfinite(x + y)]

@@ -18,8 +18,8 @@ import numpy as np
 
 from .. import _kernels
 from ..errors import ImageError, check_image, check_size
-from ..plate.region import Region, make_region, quadratic
-from .lighting import Light, Lit, fit_light, relit
+from ..plate.region import Region, make_region, quadratic_terms
+from .lighting import Light, Lit, apply_light, fit_light
 
 CHROMA = (0.5, 2.0)
 """Range of the weight of a and b relative to L in a deviation. The weight is chosen so that the
@@ -162,12 +162,12 @@ class Background:
             visible.
         """
         if self.cleaned:
-            image, convert = colours_like(image, self), _same
+            image, convert = colours_like(image, self), _unchanged
         else:
             image = np.asarray(image)
             check_image(image)
             _check_size(image, self)
-            convert = partial(compared, channels=self.lab.shape[2])
+            convert = partial(to_channels, channels=self.lab.shape[2])
         region = region or make_region(self.lab.shape[1::-1])
         return fit_light(Lit(image, convert, self.lab, self.limit, self.chroma, region), before)
 
@@ -175,7 +175,7 @@ class Background:
         """Return a copy of the background whose colours within a region are those in another light.
         Without a region, the whole image is changed."""
         region = region or make_region(self.lab.shape[1::-1])
-        return replace(self, lab=relit(self.lab, light, region))
+        return replace(self, lab=apply_light(self.lab, light, region))
 
     def softened(self, image: np.ndarray, region: Region) -> Background:
         """Return the background with the blur of an image (H, W) or (H, W, 3) uint8 in the same
@@ -187,16 +187,18 @@ class Background:
         if not len(rows):
             return self
         pixels = np.asarray(image)[rows, columns][:, None]
-        here = compared(pixels, self.lab.shape[2])[:, 0, 0].astype(np.float32)
+        here = to_channels(pixels, self.lab.shape[2])[:, 0, 0].astype(np.float32)
         limit = self.limit[rows, columns]
 
-        def differing(light: np.ndarray) -> float:
+        def differing_fraction(light: np.ndarray) -> float:
             return float(np.mean(np.abs(light[rows, columns] - here) > limit))
 
         light = self.lab[:, :, 0].astype(np.float32)
-        if differing(light) < SOFTER:
+        if differing_fraction(light) < SOFTER:
             return self
-        left, blur = min((differing(cv2.GaussianBlur(light, (0, 0), b)), b) for b in SOFTER_PX)
+        left, blur = min(
+            (differing_fraction(cv2.GaussianBlur(light, (0, 0), b)), b) for b in SOFTER_PX
+        )
         if left > EXPLAINED:
             return self
         return replace(self, lab=cv2.GaussianBlur(self.lab, (0, 0), blur).reshape(self.lab.shape))
@@ -226,7 +228,7 @@ def learn_plate(images: np.ndarray) -> Background:
     side = 2 * NEAR_PX + 1
     square = cv2.blur(square, (side, side))
     noise = np.sqrt(square + (SHIFT_PX / 8 * steepness(mean[:, :, 0])) ** 2)
-    return Background(mean, _limit(noise), chroma, learned=True)
+    return Background(mean, _deviation_limit(noise), chroma, learned=True)
 
 
 def model_background(image: np.ndarray) -> Background:
@@ -242,7 +244,7 @@ def model_background(image: np.ndarray) -> Background:
         If the image is not uint8, or has another shape.
     """
     lab = colours(image)
-    clean = _cleaned(lab)
+    clean = _remove_specks(lab)
     dirty = bool(
         np.count_nonzero(deviation(lab, clean, CHROMA[1]) > SPECK) > SPECKS * lab[:, :, 0].size
     )
@@ -258,7 +260,7 @@ def model_background(image: np.ndarray) -> Background:
     edge = np.min([rows, columns, size[1] - 1 - rows, size[0] - 1 - columns], axis=0).ravel()
     border = edge <= BORDER * min(size)
     best: tuple[float, np.ndarray, np.ndarray] | None = None
-    for mode in _modes(values):
+    for mode in _most_frequent_colours(values):
         if best is not None and best[2][mode]:
             continue  # the best surface so far already includes this colour
         fit = np.zeros((design.shape[1], channels), np.float32)
@@ -266,12 +268,12 @@ def model_background(image: np.ndarray) -> Background:
         near = NEAR_MODE
         kept = np.ones(len(values), bool)
         for terms in TERMS:
-            kept = _size(values - design @ fit, CHROMA[1]) <= near
+            kept = _colour_magnitudes(values - design @ fit, CHROMA[1]) <= near
             if np.count_nonzero(kept) < 50:
                 break
             part = design[kept][:, :terms]
             fit[:terms] = np.linalg.lstsq(part.T @ part, part.T @ values[kept], rcond=None)[0]
-            rest = _size(values[kept] - part @ fit[:terms], CHROMA[1])
+            rest = _colour_magnitudes(values[kept] - part @ fit[:terms], CHROMA[1])
             near = SIGMAS * max(float(np.sqrt(np.median(rest**2))), MIN_NOISE)
         score = float(np.mean(kept)) + BORDER_WEIGHT * float(np.mean(kept[border]))
         if best is None or score > best[0]:
@@ -279,20 +281,20 @@ def model_background(image: np.ndarray) -> Background:
     nothing = Background(lab, np.full((height, width), 255, np.uint8))
     if best is None or best[0] < MIN_SCORE:
         return nothing
-    surface, kept = _local(values, best[1], best[2], size)
+    surface, kept = _adapt_locally(values, best[1], best[2], size)
     grown = cv2.resize(surface.reshape(size[1], size[0], channels), (width, height))
-    bare = _as_colours(grown).reshape(lab.shape)
+    bare = _round_colours(grown).reshape(lab.shape)
     inner = cv2.erode(kept.reshape(size[1], size[0]).astype(np.uint8), np.ones((3, 3), np.uint8))
     shown = cv2.resize(inner, (width, height), interpolation=cv2.INTER_NEAREST) > 0
     away = deviation(lab, bare, CHROMA[1])[shown]
     if not len(away):
         return nothing
     noise = float(np.percentile(away, TEXTURE_PERCENT)) * TEXTURE / SIGMAS
-    limit = _limit(np.full((height, width), noise, np.float32))
+    limit = _deviation_limit(np.full((height, width), noise, np.float32))
     return Background(bare, limit, cleaned=dirty)
 
 
-def _local(
+def _adapt_locally(
     values: np.ndarray, surface: np.ndarray, kept: np.ndarray, size: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Adapt a background (n, C) to gradual changes of the colours (n, C) at the pixels that agree
@@ -304,7 +306,7 @@ def _local(
         total = cv2.GaussianBlur(weight, (0, 0), width).reshape(-1, 1)
         change = cv2.GaussianBlur(rest, (0, 0), width).reshape(values.shape)
         surface = surface + change / np.maximum(total, MIN_FRACTION)
-        away = _size(values - surface, CHROMA[1])
+        away = _colour_magnitudes(values - surface, CHROMA[1])
         kept = away <= SIGMAS * max(1.2 * float(np.median(away[kept])), MIN_NOISE)
     return surface.astype(np.float32), kept
 
@@ -324,11 +326,11 @@ def colours_like(image: np.ndarray, background: Background) -> np.ndarray:
     image = np.asarray(image)
     check_image(image)
     _check_size(image, background)
-    lab = compared(image, background.lab.shape[2])
-    return _cleaned(lab) if background.cleaned else lab
+    lab = to_channels(image, background.lab.shape[2])
+    return _remove_specks(lab) if background.cleaned else lab
 
 
-def compared(image: np.ndarray, channels: int) -> np.ndarray:
+def to_channels(image: np.ndarray, channels: int) -> np.ndarray:
     """Return the colours (H, W, C) of pixels (H, W) or (H, W, 3) uint8 with `channels` channels."""
     if (image.ndim == 2) != (channels == 1):
         code = cv2.COLOR_GRAY2BGR if image.ndim == 2 else cv2.COLOR_BGR2GRAY
@@ -336,7 +338,7 @@ def compared(image: np.ndarray, channels: int) -> np.ndarray:
     return colours(image)
 
 
-def _same(lab: np.ndarray) -> np.ndarray:
+def _unchanged(lab: np.ndarray) -> np.ndarray:
     return lab
 
 
@@ -345,7 +347,7 @@ def _check_size(image: np.ndarray, background: Background) -> None:
     check_size("image:", image.shape[1::-1], background.lab.shape[1::-1], why=why)
 
 
-def _cleaned(lab: np.ndarray) -> np.ndarray:
+def _remove_specks(lab: np.ndarray) -> np.ndarray:
     """Return colours (H, W, C) without single pixels that differ from their neighbours."""
     return np.asarray(cv2.medianBlur(lab, 3)).reshape(lab.shape)
 
@@ -381,14 +383,14 @@ def _chroma_weight(labs: np.ndarray, bare: np.ndarray) -> float:
     return float(np.clip(light / chroma, *CHROMA))
 
 
-def _size(change: np.ndarray, chroma: float) -> np.ndarray:
+def _colour_magnitudes(change: np.ndarray, chroma: float) -> np.ndarray:
     """Return the magnitudes (n,) of colour differences (n, C). `chroma` is the weight of a and b
     relative to L."""
     weights = np.array([1, chroma, chroma][: change.shape[1]], np.float32)
     return np.asarray(np.sqrt(np.sum((change * weights) ** 2, axis=1)))
 
 
-def _limit(noise: np.ndarray) -> np.ndarray:
+def _deviation_limit(noise: np.ndarray) -> np.ndarray:
     return np.asarray(np.clip(SIGMAS * np.maximum(noise, MIN_NOISE), 0, 255).astype(np.uint8))
 
 
@@ -396,15 +398,15 @@ def _surface_terms(x: np.ndarray, y: np.ndarray, size_px: tuple[int, int]) -> np
     """Return the terms (..., 6) of a quadratic surface at pixels (...) of an image."""
     scale = 0.5 * max(size_px)
     u, v = (x - 0.5 * size_px[0]) / scale, (y - 0.5 * size_px[1]) / scale
-    return quadratic(u.astype(np.float32), v.astype(np.float32))
+    return quadratic_terms(u.astype(np.float32), v.astype(np.float32))
 
 
-def _as_colours(lab: np.ndarray) -> np.ndarray:
+def _round_colours(lab: np.ndarray) -> np.ndarray:
     """Round values (..., C) to the nearest colours uint8."""
     return np.clip(np.rint(lab), 0, 255).astype(np.uint8)
 
 
-def _modes(values: np.ndarray) -> np.ndarray:
+def _most_frequent_colours(values: np.ndarray) -> np.ndarray:
     """Return the indices (m,) of those values (n, C) that represent the most frequent colours."""
     bins = np.floor(values / BLOCK).astype(np.int64)
     keys = bins @ (1000 ** np.arange(values.shape[1]))
@@ -414,6 +416,6 @@ def _modes(values: np.ndarray) -> np.ndarray:
     found = []
     for k in chosen:
         members = np.flatnonzero(inverse == k)
-        gap = _size(values[members] - np.median(values[members], axis=0), CHROMA[1])
+        gap = _colour_magnitudes(values[members] - np.median(values[members], axis=0), CHROMA[1])
         found.append(members[np.argmin(gap)])
     return np.array(found)

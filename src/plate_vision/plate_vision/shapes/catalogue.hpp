@@ -94,7 +94,7 @@ struct SeenOutline {
     const Complex* spectrum;
 };
 
-// Fit a part type to a measured outline, from each candidate angle. `lay_on` in catalogue.py
+// Fit a part type to a measured outline, from each candidate angle. `fit_template` in catalogue.py
 // describes the arguments.
 inline PoseFit lay_on(const TypeOutline& type, const SeenOutline& seen, double unit,
                       double hopeless) {

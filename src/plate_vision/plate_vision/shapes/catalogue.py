@@ -1,8 +1,8 @@
 """Part types that are prepared for the comparison with outlines, and their fit to an outline.
 
-`make_catalogue` computes edges, samples, spectra and areas of all types. `lay_on` fits a type to an
-outline. The function determines candidate angles by the correlation of the spectra, and continues
-with Gauss-Newton steps.
+`make_catalogue` computes edges, samples, spectra and areas of all types. `fit_template` fits a type
+to an outline. The function determines candidate angles by the correlation of the spectra, and
+continues with Gauss-Newton steps.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ class Template:
         """The template of the part's other face. None if both faces look the same."""
         flip = np.array([-1.0, 1.0])
         outline = make_outline([flip * ring for ring in self.outline.rings])
-        fit = lay_on(self, outline, 100 / outline.reach)
+        fit = fit_template(self, outline, 100 / outline.reach)
         if np.hypot(fit[3], fit[4]) < CHIRAL * outline.reach:
             return None
         edges = make_outline([flip * ring for ring in _corner_rings(self.part)]).edges
@@ -128,7 +128,7 @@ def make_template(part: PartType) -> Template:
     coarse = make_outline(rings)
     # The calculation of the spectrum is exact only for short edges. Therefore long edges are
     # divided.
-    fine = make_outline([_refined(ring, 0.05 * coarse.reach) for ring in rings])
+    fine = make_outline([_subdivide_ring(ring, 0.05 * coarse.reach) for ring in rings])
     edges = coarse.edges
     if part.radius_m:
         edges = np.vstack([[0.0, 0, 0, 0, -part.radius_m], edges[len(rings[0]) :]])
@@ -202,7 +202,7 @@ def make_catalogue(types: Mapping[str, PartType]) -> Catalogue:
     )
 
 
-def lay_on(
+def fit_template(
     template: Template, outline: Outline, scale: float, hopeless: float = np.inf
 ) -> np.ndarray:
     """Fit a type to an outline, starting from each likely angle. Return the best fit (5,) in the
@@ -223,7 +223,7 @@ def lay_on(
     return fit
 
 
-def _refined(ring: np.ndarray, length: float) -> np.ndarray:
+def _subdivide_ring(ring: np.ndarray, length: float) -> np.ndarray:
     """Return a ring (n, 2) with additional points, so that no point is farther than a length [m]
     from the next point."""
     after = np.roll(ring, -1, axis=0)

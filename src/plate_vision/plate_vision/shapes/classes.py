@@ -25,8 +25,8 @@ from plate_core.rig import PartType, to_home
 from .. import _kernels
 from ..camera.lens import Calibration
 from .background import Background
-from .catalogue import Catalogue, Template, lay_on
-from .heights import footprint, magnified, seen_shift
+from .catalogue import Catalogue, Template, fit_template
+from .heights import apparent_shift, footprint, magnification
 from .holes import HoleCheck
 from .outlines import POINTS, THREE, Outline, make_outline, patch_rings
 from .patch import Patch
@@ -215,10 +215,12 @@ def recognise(
     -------
     (n,) DETECTED_OBJECT
     """
-    return recognise_under(image, patches, catalogue, calibration, conditions or Conditions())[0]
+    return recognise_in_conditions(
+        image, patches, catalogue, calibration, conditions or Conditions()
+    )[0]
 
 
-def recognise_under(
+def recognise_in_conditions(
     image: np.ndarray,
     patches: Sequence[Patch],
     catalogue: Catalogue,
@@ -233,16 +235,16 @@ def recognise_under(
     shadows was measured with the types.
     """
     outlines, colours = measure_patches(image, patches, calibration)
-    found = _compared(image, patches, outlines, colours, catalogue, calibration, conditions)
+    found = _classify_patches(image, patches, outlines, colours, catalogue, calibration, conditions)
     if conditions.final or not len(found):
         return found, conditions
-    final = _final(conditions, found, outlines, catalogue, calibration)
+    final = _measure_conditions(conditions, found, outlines, catalogue, calibration)
     if final.lamp is not conditions.lamp or final.swell_px:
-        found = _compared(image, patches, outlines, colours, catalogue, calibration, final)
+        found = _classify_patches(image, patches, outlines, colours, catalogue, calibration, final)
     return found, final
 
 
-def _compared(
+def _classify_patches(
     image: np.ndarray,
     patches: Sequence[Patch],
     outlines: list[Outline],
@@ -259,7 +261,7 @@ def _compared(
         return found
     found["whole"] = [patch.whole for patch in patches]
     found["label"] = [GROUP if patch.group else UNKNOWN for patch in patches]
-    levels, which, usual = height_levels(catalogue, calibration)
+    levels, height_index, usual = height_levels(catalogue, calibration)
     on_plate = [footprints(outlines, calibration, h, lamp) for h in levels]
     centre = np.array([outline.centre for outline in on_plate[usual]])
     scale = calibration.scale(centre)
@@ -275,18 +277,20 @@ def _compared(
         )
         fit = FIT_PX**2 + (FIT_REACH * reach_px) ** 2 + (0.5 * outline_rms_px) ** 2
         size = SIZE_PX**2 + (SIZE_REACH * reach_px) ** 2 + outline_rms_px**2
-        filled = np.array([[one.filled.area for one in own] for own in on_plate])[which].T
+        filled = np.array([[one.filled.area for one in own] for own in on_plate])[height_index].T
         own_area = catalogue.filled_area + swell / scale[:, None] * catalogue.perimeter
         swell_px = scale[:, None] * np.abs(filled - own_area) / catalogue.perimeter
         ratio = np.log(np.maximum(filled, 1e-12) / own_area) / 2
         other = (np.abs(ratio) > OTHER_SIZE) & (swell_px > OTHER_SIZE_PX)
-        form = np.array([[one.form for one in own] for own in on_plate])[which].swapaxes(0, 1)
+        form = np.array([[one.form for one in own] for own in on_plate])[height_index].swapaxes(
+            0, 1
+        )
         other |= np.sum((form - catalogue.form) ** 2, axis=2) > UNLIKE**2
         tints = [
             colours if h == 0 and lamp is None else top_colours(image, own, calibration, h, colours)
             for h, own in zip(levels, on_plate, strict=True)
         ]
-        tint = np.array(tints)[which].swapaxes(0, 1)
+        tint = np.array(tints)[height_index].swapaxes(0, 1)
         tint = np.nan_to_num(colour_distance(tint, catalogue.colour, image.ndim == 3))
         # Blur or a shadow can fill a hole. In such an image, the measured colour of the part
         # includes the colour in the hole. Therefore the colour has less weight.
@@ -298,8 +302,8 @@ def _compared(
         min_score[other] = np.inf
         for i in range(len(outlines)):
             seen = [own[i] for own in on_plate]
-            own_outlines = [seen[level] for level in which]
-            _evaluate_one(
+            own_outlines = [seen[level] for level in height_index]
+            _classify_patch(
                 found[i], own_outlines, catalogue, scale[i], min_score[i], fit[i], size[i], tint[i],
                 hole_check, swell,
             )  # fmt: skip
@@ -363,7 +367,7 @@ def top_colours(
     instead."""
     found = otherwise.copy()
     below = calibration.place[:2] if calibration.place is not None else np.zeros(2)
-    factor = 1.0 if calibration.place is None else magnified(calibration.place, height)
+    factor = 1.0 if calibration.place is None else magnification(calibration.place, height)
     for i, outline in enumerate(outlines):
         rings = [calibration.to_image(below + (ring - below) * factor) for ring in outline.rings]
         low = np.maximum(np.floor(rings[0].min(axis=0)).astype(int), 0)
@@ -418,7 +422,7 @@ def colour_distance(a: np.ndarray, b: np.ndarray, coloured: bool) -> np.ndarray:
     return np.asarray(np.sqrt(np.sum(gap**2, axis=-1)))
 
 
-def _evaluate_one(
+def _classify_patch(
     row: np.void,
     outlines: Sequence[Outline],
     catalogue: Catalogue,
@@ -443,9 +447,11 @@ def _evaluate_one(
         if min_score[j] > max_score:
             break
         outline = outlines[j]
-        for template, seen, holes in _combinations(catalogue.templates[j], outline, hole_check):
+        for template, seen, holes in _hole_combinations(
+            catalogue.templates[j], outline, hole_check
+        ):
             hopeless = ASTRAY * np.sqrt(max_score * fit_square[j]) / scale
-            fit = lay_on(template, seen, scale, hopeless)
+            fit = fit_template(template, seen, scale, hopeless)
             score = (scale * fit[4]) ** 2 / fit_square[j] + (
                 scale * fit[3] - swell
             ) ** 2 / size_square[j]
@@ -473,10 +479,10 @@ def _evaluate_one(
         return
     over = catalogue.templates[chosen].mirrored
     if over is not None:
-        gain = kept[4] ** 2 - lay_on(over, outlines[chosen], scale)[4] ** 2
+        gain = kept[4] ** 2 - fit_template(over, outlines[chosen], scale)[4] ** 2
         if scale**2 * gain > OTHER_FACE * fit_square[chosen]:
             return
-    note_type(
+    write_type(
         row,
         catalogue.templates[chosen].part,
         kept,
@@ -488,12 +494,12 @@ def _evaluate_one(
     row["confidence"] = (1 - best / LIMIT**2) * (1 - np.exp(-0.5 * (second - best)))
 
 
-def _combinations(
+def _hole_combinations(
     template: Template, outline: Outline, hole_check: HoleCheck | None
 ) -> list[tuple[Template, Outline, float | None]]:
-    """Return the combinations of a type and an outline that `_evaluate_one` fits. Each combination
-    consists of a template, an outline, and the penalty for the holes in standard deviations. The
-    penalty is None if it depends on the image in the holes."""
+    """Return the combinations of a type and an outline that `_classify_patch` fits. Each
+    combination consists of a template, an outline, and the penalty for the holes in standard
+    deviations. The penalty is None if it depends on the image in the holes."""
     own, seen = bool(template.part.holes), len(outline.ends) > 1
     plain = template, outline, 0.0
     filled = template.filled, outline.filled, None
@@ -504,7 +510,7 @@ def _combinations(
     return [plain] if own == seen else [filled]
 
 
-def _final(
+def _measure_conditions(
     conditions: Conditions,
     found: np.ndarray,
     outlines: Sequence[Outline],
@@ -521,13 +527,13 @@ def _final(
         swell = 0.0
     lamp = conditions.lamp
     if lamp is not None:
-        lamp = _measured(lamp, found, named, outlines, catalogue, calibration)
+        lamp = _measure_lamp(lamp, found, named, outlines, catalogue, calibration)
     return replace(
         conditions, lamp=lamp, final=True, swell_px=min(max(swell, -MAX_SWELL_PX), MAX_SWELL_PX)
     )
 
 
-def _measured(
+def _measure_lamp(
     lamp: Lamp,
     found: np.ndarray,
     named: np.ndarray,
@@ -555,7 +561,7 @@ def _measured(
         base = to_home(np.array([found["x"][i], found["y"][i], found["angle"][i]]), part.polygon)
         top = base
         if calibration.place is not None:
-            top = base + seen_shift(calibration.place, base, part.height_m)
+            top = base + apparent_shift(calibration.place, base, part.height_m)
         seen, body = np.ptp(outlines[i].rings[0] @ axes, axis=0), np.vstack([base, top]) @ axes
         swell = seen[1] - np.ptp(body[:, 1])
         end = np.min(body[:, 0]) + seen[0] - swell
@@ -570,14 +576,14 @@ def _measured(
     return replace(lamp, shift_px=usual * unit, length_sd_px=1.5 * spread)
 
 
-def note_type(
+def write_type(
     row: np.void, part: PartType, fit: np.ndarray, deviation: float, scale: float
 ) -> None:
     """Write a type to the record `row` () DETECTED_OBJECT. `fit` (3,) is the part's x, y [m] and
     angle [rad], and `deviation` is the standard deviation of the angle [rad]."""
     row["label"] = part.name
     row["x"], row["y"] = fit[:2]
-    row["angle"], row["angle_sd"] = wrapped(fit[2], part.symmetry), deviation
+    row["angle"], row["angle_sd"] = wrap_angle(fit[2], part.symmetry), deviation
     row["radius_px"] = np.sqrt(part.area_m2 / np.pi) * scale
 
 
@@ -600,7 +606,7 @@ def angle_sd(
     return float(min(sd, max_sd))
 
 
-def wrapped(angle: float, symmetry: int) -> float:
+def wrap_angle(angle: float, symmetry: int) -> float:
     """Return an angle [rad] in the range of a part that looks the same in `symmetry` directions.
     The range is 0 to 2 pi / symmetry, or -pi to pi without symmetry (1). For a disc (0), the angle
     is 0."""

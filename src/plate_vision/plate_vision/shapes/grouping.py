@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from .background import steepness
-from .splitting import split
+from .splitting import split_patch
 
 Traits = tuple[float, float, float]
 """Traits of a piece: its area [px2], its spread (second moment divided by the squared area), and
@@ -192,7 +192,7 @@ def traits(inside: np.ndarray) -> Traits:
     return area, (moments["mu20"] + moments["mu02"]) / area**2, min(area / whole, 1.0)
 
 
-def alike(one: Traits, other: Traits, spread: Traits = ALIKE) -> bool:
+def is_similar(one: Traits, other: Traits, spread: Traits = ALIKE) -> bool:
     """Whether two pieces have similar traits."""
     return (
         abs(one[0] - other[0]) <= spread[0] * max(one[0], other[0])
@@ -201,7 +201,9 @@ def alike(one: Traits, other: Traits, spread: Traits = ALIKE) -> bool:
     )
 
 
-def pieces_of(solids: list[Solid], min_area: float, limit: float, pixels: int) -> list[Piece]:
+def split_into_pieces(
+    solids: list[Solid], min_area: float, limit: float, pixels: int
+) -> list[Piece]:
     """Return the parts and groups of parts of which patches consist. If the analysis of a patch
     would visit too many pixels, the patch is returned as a group.
 
@@ -226,7 +228,7 @@ def pieces_of(solids: list[Solid], min_area: float, limit: float, pixels: int) -
         if whole.solidity > CONVEX or whole.group:
             sure.append(whole)
             continue
-        labels, count, necks = split(amount, inside)
+        labels, count, necks = split_patch(amount, inside)
         if count < 2:
             sure.append(whole)
         elif not work.take(LABEL_WORK * count * inside.size):
@@ -237,14 +239,14 @@ def pieces_of(solids: list[Solid], min_area: float, limit: float, pixels: int) -
             unsure.append((rank, labels, necks))
     known = [piece.traits for piece in sure if piece.area >= min_area]
     for rank, labels, necks in unsure:
-        found = _decided(labels, necks, rank, known)
+        found = _resolve_unclear_necks(labels, necks, rank, known)
         sure += found
         known += [piece.traits for piece in found if not piece.group]
     sure = [piece for piece in sure if piece.area >= min_area]
-    return _cut_by_kind(_without_shreds(sure, solids), solids, limit, pixels, work)
+    return _cut_by_similarity(_rejoin_fragments(sure, solids), solids, limit, pixels, work)
 
 
-def _without_shreds(pieces: list[Piece], solids: list[Solid]) -> list[Piece]:
+def _rejoin_fragments(pieces: list[Piece], solids: list[Solid]) -> list[Piece]:
     """Rejoin the pieces of a patch if too little of the patch is compact or similar to other
     pieces, for example in a part with a jagged outline. If more than two pieces are rejoined, the
     result is a group."""
@@ -255,7 +257,7 @@ def _without_shreds(pieces: list[Piece], solids: list[Solid]) -> list[Piece]:
             piece
             for piece in own
             if piece.solidity > COMPACT
-            or any(alike(piece.traits, one.traits) for one in pieces if one is not piece)
+            or any(is_similar(piece.traits, one.traits) for one in pieces if one is not piece)
         ]
         good_fraction = sum(piece.area for piece in good) / sum(piece.area for piece in own)
         if len(own) > 1 and good_fraction < MIN_GOOD:
@@ -264,7 +266,9 @@ def _without_shreds(pieces: list[Piece], solids: list[Solid]) -> list[Piece]:
     return kept
 
 
-def _decided(labels: np.ndarray, necks: np.ndarray, rank: int, known: list[Traits]) -> list[Piece]:
+def _resolve_unclear_necks(
+    labels: np.ndarray, necks: np.ndarray, rank: int, known: list[Traits]
+) -> list[Piece]:
     """Return the pieces of a patch that has unclear necks.
 
     The two sides of such a neck are one part if both together are similar to a known piece. Without
@@ -279,8 +283,8 @@ def _decided(labels: np.ndarray, necks: np.ndarray, rank: int, known: list[Trait
         if neck < CLEAR or parent[one] == parent[other]:
             continue
         both = traits((labels == one) | (labels == other))
-        twins = [any(alike(sides[k], like) for like in known) for k in (one, other)]
-        if any(alike(both, like) for like in known):
+        twins = [any(is_similar(sides[k], like) for like in known) for k in (one, other)]
+        if any(is_similar(both, like) for like in known):
             joined = not all(twins)
         else:
             small, large = sorted((sides[one][0], sides[other][0]))
@@ -297,7 +301,7 @@ def _decided(labels: np.ndarray, necks: np.ndarray, rank: int, known: list[Trait
     ]
 
 
-def _cut_by_kind(
+def _cut_by_similarity(
     pieces: list[Piece],
     solids: list[Solid],
     limit: float,
@@ -310,7 +314,7 @@ def _cut_by_kind(
     kinds = [
         piece.traits
         for i, piece in enumerate(pieces)
-        if any(alike(piece.traits, other.traits) for k, other in enumerate(pieces) if k != i)
+        if any(is_similar(piece.traits, other.traits) for k, other in enumerate(pieces) if k != i)
     ]
     usual = float(np.median([kind[0] for kind in kinds])) if kinds else np.inf
     common = [kind for kind in kinds if kind[0] > SMALLER * usual]
@@ -319,24 +323,26 @@ def _cut_by_kind(
     todo = sorted(pieces, key=lambda piece: -piece.inside.size)
     while todo:
         piece = todo.pop()
-        if piece.area > PLATE_SIZED * pixels or any(alike(piece.traits, kind) for kind in kinds):
+        if piece.area > PLATE_SIZED * pixels or any(
+            is_similar(piece.traits, kind) for kind in kinds
+        ):
             done.append(piece)
             continue
         smaller = [kind for kind in kinds if LARGER * kind[0] < piece.area]
-        halves = _halves(piece, smaller, work) if smaller else None
+        halves = _cut_straight(piece, smaller, work) if smaller else None
         if halves is not None:
             todo += halves
             continue
         several = len(kinds) >= MOSTLY * len(pieces) and piece.area > LARGER * usual
         piece.group = piece.group or (several and piece.solidity < DENTED)
         if piece.group or (not piece.alone and piece.solidity < CONVEX):
-            done += _along_edges(piece, *solids[piece.rank][1:], common, limit, work)
+            done += _split_along_edges(piece, *solids[piece.rank][1:], common, limit, work)
         else:
             done.append(piece)
     return done
 
 
-def _along_edges(
+def _split_along_edges(
     piece: Piece,
     amount: np.ndarray,
     colours: np.ndarray,
@@ -363,34 +369,34 @@ def _along_edges(
         for percent in EDGES_PERCENT
     ]
     if colours.shape[2] == 3:
-        borders += [inner & _between_colours(colours, piece.inside, count) for count in COLOURS]
+        borders += [inner & _colour_borders(colours, piece.inside, count) for count in COLOURS]
     for edge in borders:
         open_ = np.where(edge | ~piece.inside, np.float32(0), amount)
-        labels, count, _ = split(open_, piece.inside)
+        labels, count, _ = split_patch(open_, piece.inside)
         found = [Piece(labels == k, piece.rank, False) for k in range(1, count + 1)]
         good = [
             one
             for one in found
-            if any(alike(one.traits, kind, RATHER_ALIKE) for kind in kinds)
+            if any(is_similar(one.traits, kind, RATHER_ALIKE) for kind in kinds)
             or (one.solidity > CONVEX and one.area > min_area)
         ]
         parted = sum(one.area for one in good)
         if len(good) > 1 and parted > max_parted:
             max_parted = parted
-            best = _shared_out(good, piece)
+            best = _assign_rest(good, piece)
     # The remaining pieces are split along their inner edges.
     return [
         part
         for one in best
         for part in (
-            _along_edges(one, amount, colours, kinds, limit, work)
+            _split_along_edges(one, amount, colours, kinds, limit, work)
             if one.group and one is not piece
             else [one]
         )
     ]
 
 
-def _between_colours(colours: np.ndarray, inside: np.ndarray, count: int) -> np.ndarray:
+def _colour_borders(colours: np.ndarray, inside: np.ndarray, count: int) -> np.ndarray:
     """Return the pixels (h, w) bool where the `count` main colours of a piece meet."""
     lab = cv2.medianBlur(colours, 5)[inside].astype(np.float32)
     hue = np.arctan2(lab[:, 2] - 128, lab[:, 1] - 128)
@@ -407,11 +413,11 @@ def _between_colours(colours: np.ndarray, inside: np.ndarray, count: int) -> np.
     return np.asarray(cv2.dilate(main, cross) != main)
 
 
-def _shared_out(good: list[Piece], piece: Piece) -> list[Piece]:
+def _assign_rest(good: list[Piece], piece: Piece) -> list[Piece]:
     """Return the good pieces of a piece. The rest of the piece is assigned to the nearest good
     pieces. If a connected rest is large compared with the good pieces, this rest is returned as a
     group."""
-    nearest = _nearest([one.inside for one in good])
+    nearest = _nearest_area([one.inside for one in good])
     rest = piece.inside & ~np.any([one.inside for one in good], axis=0)
     count, left = cv2.connectedComponents(rest.astype(np.uint8), connectivity=4)
     area = np.bincount(left.ravel(), minlength=count)
@@ -424,14 +430,14 @@ def _shared_out(good: list[Piece], piece: Piece) -> list[Piece]:
     ]
 
 
-def _nearest(places: list[np.ndarray]) -> np.ndarray:
+def _nearest_area(places: list[np.ndarray]) -> np.ndarray:
     """Return the index (h, w) of the area (h, w) bool that is nearest to each pixel. If several
     areas are equally near, the first one is returned."""
     gaps = [cv2.distanceTransform((~one).astype(np.uint8), cv2.DIST_L2, 3) for one in places]
     return np.argmin(gaps, axis=0)
 
 
-def _halves(piece: Piece, kinds: list[Traits], work: Work) -> list[Piece] | None:
+def _cut_straight(piece: Piece, kinds: list[Traits], work: Work) -> list[Piece] | None:
     """Return the two pieces of a straight cut that starts at a concave corner, if both pieces are
     similar to known kinds. Otherwise, return None."""
     if piece.area * (1 - ALIKE[0]) > 2 * max(kind[0] for kind in kinds):
@@ -454,7 +460,7 @@ def _halves(piece: Piece, kinds: list[Traits], work: Work) -> list[Piece] | None
     for number, dent in enumerate(dents):
         start = points[dent[2]]
         ends = [points[other[2]] for other in dents[number + 1 :]]
-        ends += list(_across(points, int(dent[2])))
+        ends += list(_find_cut_ends(points, int(dent[2])))
         for end in ends:
             if not work.take(pixels.size):
                 break
@@ -465,16 +471,18 @@ def _halves(piece: Piece, kinds: list[Traits], work: Work) -> list[Piece] | None
             if count < 3 or np.partition(sizes, -2)[-2] < 0.1 * piece.area:
                 continue
             # Each pixel on the cut is assigned to the nearer side.
-            nearest = _nearest([labels == k for k in 1 + np.argsort(-sizes)[1::-1]])
+            nearest = _nearest_area([labels == k for k in 1 + np.argsort(-sizes)[1::-1]])
             halves = [Piece(piece.inside & (nearest == k), piece.rank, False) for k in (1, 0)]
-            if all(sum(alike(half.traits, kind) for kind in kinds) >= MEMBERS for half in halves):
+            if all(
+                sum(is_similar(half.traits, kind) for kind in kinds) >= MEMBERS for half in halves
+            ):
                 length = float(np.hypot(*(end - start)))
                 if best is None or length < best[0]:
                     best = length, halves
     return None if best is None else best[1]
 
 
-def _across(points: np.ndarray, start: int) -> np.ndarray:
+def _find_cut_ends(points: np.ndarray, start: int) -> np.ndarray:
     """Return the points (k, 2) of a contour at which a cut from point `start` may end. These points
     are local minima of the distance from `start`. Their straight-line distance from
     `start` is short, but their distance along the contour is long."""

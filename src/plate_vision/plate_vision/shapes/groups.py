@@ -37,12 +37,12 @@ from .classes import (
     height_levels,
     is_named,
     measure_patches,
-    note_type,
     recognise,
     to_lab,
+    write_type,
 )
 from .grouping import Work
-from .heights import seen_shift
+from .heights import apparent_shift
 from .outlines import Outline, fit_pose
 from .patch import Patch
 from .shadows import Lamp
@@ -221,20 +221,20 @@ def explain_groups(
         return seen
     kept, added = np.ones(len(seen), bool), []
     min_area = np.min(catalogue.area)
-    area = np.pi * (seen["radius_px"] / calibration.scale(_places(seen))) ** 2
+    area = np.pi * (seen["radius_px"] / calibration.scale(_positions(seen))) ** 2
     tries = Work(MAX_TRIES)
-    clusters = _clusters(patches, explained, image.shape[:2])
+    clusters = _find_clusters(patches, explained, image.shape[:2])
     for members in sorted(clusters, key=lambda one: float(np.sum(area[one]))):
         if np.sum(area[members]) < TWO * min_area or not tries.left:
             continue
         own = members[~explained[members]]
         for chosen in (members, own) if len(own) < len(members) else (members,):
-            union = _union([patches[i] for i in chosen])
+            union = _merge_patches([patches[i] for i in chosen])
             one = recognise(image, [union], catalogue, calibration, conditions)
             if len(chosen) > 1 and one["label"][0] != GROUP:
                 parts = one
             else:
-                parts = _parts(image, union, one, catalogue, calibration, tries, conditions)
+                parts = _explain_group(image, union, one, catalogue, calibration, tries, conditions)
             if len(parts):
                 kept[chosen] = False
                 added.append(parts)
@@ -242,11 +242,11 @@ def explain_groups(
     return np.concatenate([seen[kept], *added])
 
 
-def _places(seen: np.ndarray) -> np.ndarray:
+def _positions(seen: np.ndarray) -> np.ndarray:
     return np.column_stack([seen["x"], seen["y"]])
 
 
-def _clusters(
+def _find_clusters(
     patches: Sequence[Patch], explained: np.ndarray, shape: tuple[int, int]
 ) -> list[np.ndarray]:
     """Return the indices of the patches in each cluster. A cluster consists of patches that touch
@@ -269,7 +269,7 @@ def _clusters(
     ]
 
 
-def _union(patches: Sequence[Patch]) -> Patch:
+def _merge_patches(patches: Sequence[Patch]) -> Patch:
     """Return several patches as one patch. The gaps between the patches are closed."""
     low = np.min([patch.corner for patch in patches], axis=0)
     high = np.max([np.array(patch.corner) + patch.mask.shape[::-1] for patch in patches], axis=0)
@@ -285,7 +285,7 @@ def _union(patches: Sequence[Patch]) -> Patch:
     return Patch(mask > 0, (int(low[0]), int(low[1])), mask.astype(np.float32), whole, group)
 
 
-def _parts(
+def _explain_group(
     image: np.ndarray,
     union: Patch,
     one: np.ndarray,
@@ -299,7 +299,7 @@ def _parts(
     outlines, _ = measure_patches(image, [union], calibration, CONTOUR_POINTS)
     here, mask = union.windowed(image.shape)
     corner = here[1].start, here[0].start
-    place = _places(one)
+    place = _positions(one)
     scale = float(calibration.scale(place)[0])
     steps = np.array([[0.0, 0], [1, 0], [0, 1]]) / scale
     origin, right, up = calibration.to_image(place + steps)
@@ -309,29 +309,29 @@ def _parts(
     lamp = None if conditions is None else conditions.lamp
     levels, _, usual = height_levels(catalogue, calibration)
     if levels[usual] or lamp is not None:
-        view = _on_plate(view, calibration, levels[usual], lamp)
+        view = _footprint_view(view, calibration, levels[usual], lamp)
     max_area = LARGER * float(np.max(catalogue.filled_area))
     uncertain = one["label"][0] == UNKNOWN and outlines[0].filled.area < max_area
-    found = take_apart(_coarser(view, catalogue), catalogue, uncertain, tries)
+    found = find_parts_in_group(_reduce_resolution(view, catalogue), catalogue, uncertain, tries)
     # The search used a reduced resolution. Fit the parts again to the contour at full resolution.
     found = [replace(part, pose=view.fitted(part.template, part.pose)) for part in found]
     left = view.mask
     for part in found:
-        left = _without(view, left, part)
-    rest = _pieces(left, corner, MIN_REST * float(np.min(catalogue.area)) * scale**2)
+        left = _remove_part(view, left, part)
+    rest = _remaining_patches(left, corner, MIN_REST * float(np.min(catalogue.area)) * scale**2)
     if len(found) + len(rest) < 2 or not found:
         return np.empty(0, DETECTED_OBJECT)
     parts = np.zeros(len(found), DETECTED_OBJECT)
     for row, part in zip(parts, found, strict=True):
         fit, gate = np.append(part.pose, (0, 0)), 2 * NEAR_PX / scale
         deviation = angle_sd(part.template, view.outline.points, fit, scale, gate)
-        note_type(row, part.template.part, fit, deviation, scale)
+        write_type(row, part.template.part, fit, deviation, scale)
         row["confidence"], row["colour"], row["whole"] = part.seen, part.tint, union.whole
-    parts["x_px"], parts["y_px"] = calibration.to_image(_places(parts)).T
+    parts["x_px"], parts["y_px"] = calibration.to_image(_positions(parts)).T
     return np.concatenate([parts, recognise(image, rest, catalogue, calibration)])
 
 
-def _on_plate(view: View, calibration: Calibration, height: float, lamp: Lamp | None) -> View:
+def _footprint_view(view: View, calibration: Calibration, height: float, lamp: Lamp | None) -> View:
     """Return a view of the footprint of a group of parts with a height [m]. The image of the parts'
     tops is shifted to the footprint."""
     (outline,) = footprints([view.outline], calibration, height, lamp)
@@ -342,7 +342,7 @@ def _on_plate(view: View, calibration: Calibration, height: float, lamp: Lamp | 
     view = replace(view, mask=mask & view.mask, outline=outline)
     if calibration.place is None or height == 0:
         return view
-    shift = seen_shift(calibration.place, outline.centre[None], height)[0] @ view.to_px[:, :2].T
+    shift = apparent_shift(calibration.place, outline.centre[None], height)[0] @ view.to_px[:, :2].T
     pixels = cv2.warpAffine(
         view.pixels, np.column_stack([np.eye(2), -shift]), mask.shape[::-1],
         borderMode=cv2.BORDER_REPLICATE,
@@ -350,7 +350,7 @@ def _on_plate(view: View, calibration: Calibration, height: float, lamp: Lamp | 
     return replace(view, pixels=pixels)
 
 
-def _pieces(left: np.ndarray, corner: tuple[int, int], min_area: float) -> list[Patch]:
+def _remaining_patches(left: np.ndarray, corner: tuple[int, int], min_area: float) -> list[Patch]:
     """Return the connected pieces of the rest (h, w) uint8 of a group. Each piece has at least
     `min_area` pixels. `corner` is the first pixel of the window in the image [px]."""
     _, labels, stats, _ = cv2.connectedComponentsWithStats(left, connectivity=4)
@@ -364,7 +364,7 @@ def _pieces(left: np.ndarray, corner: tuple[int, int], min_area: float) -> list[
     return pieces
 
 
-def _coarser(view: View, catalogue: Catalogue) -> View:
+def _reduce_resolution(view: View, catalogue: Catalogue) -> View:
     """Return a view with fewer pixels if the parts have more pixels than necessary."""
     factor = ENOUGH_PX / (view.scale * float(np.min(catalogue.reach)))
     height, width = view.mask.shape
@@ -380,7 +380,7 @@ def _coarser(view: View, catalogue: Catalogue) -> View:
     return View(mask.astype(np.uint8), pixels, to_px, scale, view.outline)
 
 
-def take_apart(
+def find_parts_in_group(
     view: View, catalogue: Catalogue, uncertain: bool = False, tries: Work | None = None
 ) -> list[DetectedPart]:
     """Return the parts of a group, with poses in plate_home. The result is empty if no parts are
@@ -392,7 +392,7 @@ def take_apart(
     min_area, max_area = np.array([np.min(catalogue.area), np.max(catalogue.area)]) * view.scale**2
     if np.count_nonzero(view.mask) > MAX_PARTS * max_area:
         return []
-    choices = _candidates(view, catalogue, border, border)
+    choices = _find_candidates(view, catalogue, border, border)
     # Best-first search: the next tried combination of parts is the one with the smallest sum of
     # ranks. The best candidate has the rank 0, the second best candidate has the rank 1, and so on.
     open_: list[tuple[int, int, int, tuple[DetectedPart, ...], np.ndarray, list[DetectedPart]]] = []
@@ -403,15 +403,15 @@ def take_apart(
             break
         passed, depth, _, parts, left, fitting = heapq.heappop(open_)
         if parts:
-            left = _without(view, left, parts[-1])
+            left = _remove_part(view, left, parts[-1])
         if np.count_nonzero(left) <= MIN_REST * min_area:
-            if _covers(view, parts):
+            if _is_covered(view, parts):
                 return list(parts)
             continue
         if parts:
             free = _signed_distance(left)
-            fitting = [part for part in fitting if _fits(view, part, free, border)]
-            fitting = fitting or _candidates(view, catalogue, free, border)
+            fitting = [part for part in fitting if _is_in_free_area(view, part, free, border)]
+            fitting = fitting or _find_candidates(view, catalogue, free, border)
         if len(parts) < MAX_PARTS:
             for rank, part in enumerate(fitting[:FIRST]):
                 more = (passed + rank, depth - 1, next(number), (*parts, part), left, fitting)
@@ -421,13 +421,13 @@ def take_apart(
     # No combination of parts covers the group completely. Return only the parts that are certain.
     sure, free = [], border
     for part in choices:
-        if part.seen > SURE and _fits(view, part, free, border):
+        if part.seen > SURE and _is_in_free_area(view, part, free, border):
             sure.append(part)
-            free = _signed_distance(_without(view, (free > 0).astype(np.uint8), part))
+            free = _signed_distance(_remove_part(view, (free > 0).astype(np.uint8), part))
     return sure
 
 
-def _covers(view: View, parts: Sequence[DetectedPart]) -> bool:
+def _is_covered(view: View, parts: Sequence[DetectedPart]) -> bool:
     """Whether parts cover a group."""
     union = np.zeros_like(view.mask)
     for part in parts:
@@ -457,7 +457,7 @@ def _signed_distance(mask: np.ndarray) -> np.ndarray:
     return np.asarray(np.where(mask > 0, inside - 0.5, 0.5 - outside), np.float32)
 
 
-def _without(view: View, left: np.ndarray, part: DetectedPart) -> np.ndarray:
+def _remove_part(view: View, left: np.ndarray, part: DetectedPart) -> np.ndarray:
     """Return the rest (h, w) uint8 of a group after a part was removed."""
     own = view.drawn(part)
     rest = np.where(cv2.dilate(own, np.ones((3, 3), np.uint8)) > 0, 0, left).astype(np.uint8)
@@ -468,7 +468,7 @@ def _without(view: View, left: np.ndarray, part: DetectedPart) -> np.ndarray:
     return np.asarray(grown & left & (1 - own))
 
 
-def _candidates(
+def _find_candidates(
     view: View, catalogue: Catalogue, free: np.ndarray, border: np.ndarray
 ) -> list[DetectedPart]:
     """Return parts that fit into the free area (h, w). The best part comes first. `border` (h, w)
@@ -480,12 +480,12 @@ def _candidates(
     ):
         if area > 1.2 * free_area:
             continue
-        for pose in _placed(view, template, free, border):
+        for pose in _find_start_poses(view, template, free, border):
             fit = view.fitted(template, pose)
-            seen, outside = _support(view, template, fit, free, border)
+            seen, outside = _contour_support(view, template, fit, free, border)
             if seen < SEEN or outside > MAX_OUTSIDE:
                 continue
-            tint = _tint(view, template, fit)
+            tint = _colour_difference(view, template, fit)
             if tint > LIMIT * COLOUR_LAB:
                 continue
             value = seen**2 * perimeter * np.exp(-0.5 * (tint / COLOUR_LAB) ** 2)
@@ -494,12 +494,12 @@ def _candidates(
     return [found for _, found in ranked]
 
 
-def _fits(view: View, part: DetectedPart, free: np.ndarray, border: np.ndarray) -> bool:
+def _is_in_free_area(view: View, part: DetectedPart, free: np.ndarray, border: np.ndarray) -> bool:
     """Whether a part is inside the free area (h, w)."""
-    return _support(view, part.template, part.pose, free, border)[1] <= MAX_OUTSIDE
+    return _contour_support(view, part.template, part.pose, free, border)[1] <= MAX_OUTSIDE
 
 
-def _tint(view: View, template: Template, pose: np.ndarray) -> float:
+def _colour_difference(view: View, template: Template, pose: np.ndarray) -> float:
     """Return the distance of the image's colour at a part from the type's colour."""
     if template.part.colour_lab is None:
         return 0.0
@@ -511,7 +511,7 @@ def _tint(view: View, template: Template, pose: np.ndarray) -> float:
     return float(colour_distance(lab[0], np.array(template.part.colour_lab), coloured))
 
 
-def _placed(
+def _find_start_poses(
     view: View, template: Template, free: np.ndarray, border: np.ndarray
 ) -> list[np.ndarray]:
     """Return starting poses (3,) for the fit of a type to the group. The most likely pose comes
@@ -544,7 +544,7 @@ def _placed(
     return kept
 
 
-def _support(
+def _contour_support(
     view: View, template: Template, pose: np.ndarray, free: np.ndarray, border: np.ndarray
 ) -> tuple[float, float]:
     """Return two numbers. The first number is the fraction of a part's contour that is on the

@@ -45,16 +45,16 @@ BLUR_PX = 0.7
 """Blur of a drawn footprint [px]. With the blur, the edge can be located between two pixels."""
 
 
-def magnified(place: np.ndarray, height: float) -> float:
+def magnification(place: np.ndarray, height: float) -> float:
     """Return the factor H / (H - height) by which points at a height [m] appear farther from the
     point below a camera at `place` (3,) [m]."""
     return float(place[2] / (place[2] - height))
 
 
-def seen_shift(place: np.ndarray, point: np.ndarray, height: float) -> np.ndarray:
+def apparent_shift(place: np.ndarray, point: np.ndarray, height: float) -> np.ndarray:
     """Return the apparent shifts (n, 2) [m] of points at a height [m] above the points (n, 2) [m]
     of the plate."""
-    return np.asarray((point - place[:2]) * (magnified(place, height) - 1))
+    return np.asarray((point - place[:2]) * (magnification(place, height) - 1))
 
 
 def footprint(
@@ -88,16 +88,17 @@ def footprint(
     rings = outline.rings
     seen = [rings]
     if place is not None and height > 0:
-        factor, below = magnified(place, height), place[:2]
+        factor, below = magnification(place, height), place[:2]
         shift_px = scale * float(np.max(np.hypot(*(outline.points - below).T))) * (factor - 1)
         seen += [
             [below + (ring - below) * t for ring in rings]
-            for t in np.linspace(1, 1 / factor, _steps(shift_px))[1:]
+            for t in np.linspace(1, 1 / factor, _step_count(shift_px))[1:]
         ]
     if shadow is not None:
         shift_px = scale * float(np.hypot(*shadow))
         seen += [
-            [ring - t * shadow for ring in rings] for t in np.linspace(0, 1, _steps(shift_px))[1:]
+            [ring - t * shadow for ring in rings]
+            for t in np.linspace(0, 1, _step_count(shift_px))[1:]
         ]
     if len(seen) == 1:
         return outline
@@ -117,13 +118,13 @@ def footprint(
         cv2.bitwise_and(both, fine, both)
     cover = cv2.resize(both, size.tolist(), interpolation=cv2.INTER_AREA)
     field = cv2.GaussianBlur(np.asarray(cover, np.float32) / 255, (0, 0), BLUR_PX)
-    found = _rings(field, len(outline.points[: outline.ends[0]]))
+    found = _trace_rings(field, len(outline.points[: outline.ends[0]]))
     if not found:
         return None
     return make_outline([low + ring / scale for ring in found])
 
 
-def _steps(shift_px: float) -> int:
+def _step_count(shift_px: float) -> int:
     """Return the number of places along a shift [px] that are evaluated. The number is 1 if the
     shift is too small."""
     if shift_px < MIN_SHIFT_PX:
@@ -131,7 +132,7 @@ def _steps(shift_px: float) -> int:
     return int(min(np.ceil(shift_px / STEP_PX) + 1, MAX_STEPS))
 
 
-def _rings(cover: np.ndarray, count: int) -> list[np.ndarray]:
+def _trace_rings(cover: np.ndarray, count: int) -> list[np.ndarray]:
     """Return the rings (k, 2) [px] where a cover (h, w) float32 is 0.5. The cover is the covered
     fraction of each pixel. The ring around the largest patch has `count` points, and the points on
     its holes have the same density."""

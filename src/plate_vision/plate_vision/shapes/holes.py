@@ -16,9 +16,9 @@ from plate_core.rig import to_home
 
 from .. import _kernels
 from ..camera.lens import Calibration
-from .background import Background, compared
+from .background import Background, to_channels
 from .catalogue import Template
-from .heights import magnified
+from .heights import magnification
 
 DARKEST = 0.4
 """Minimum of L + 41 in a hole, relative to the same value of the plate [-]. L is 0 to 255."""
@@ -48,7 +48,7 @@ class HoleCheck:
     calibration: Calibration
 
     @cached_property
-    def _limit(self) -> float:
+    def _median_limit(self) -> float:
         """Median of the maximum deviations of plate pixels [L]."""
         return float(np.median(self.background.limit[::SPARSE, ::SPARSE]))
 
@@ -58,14 +58,14 @@ class HoleCheck:
         look like the plate, or if the type has no holes."""
         if not template.part.holes:
             return None
-        holes, plate = self._colours(to_home(fit[:3], template.hole_points), 0.0)
-        body, _ = self._colours(to_home(fit[:3], template.inner), template.part.height_m)
+        holes, plate = self._sample_colours(to_home(fit[:3], template.hole_points), 0.0)
+        body, _ = self._sample_colours(to_home(fit[:3], template.inner), template.part.height_m)
         if not len(holes) or not len(body):
             return None
         here, bare, part = (np.median(one, axis=0) for one in (holes, plate, body))
         origin = _kernels.LIGHTNESS_0 if len(here) == 3 else 0.0
         light = (here[0] + origin) / (bare[0] + origin)
-        limit, chroma = self._limit, self.background.chroma
+        limit, chroma = self._median_limit, self.background.chroma
         tint = chroma * (here[1:] - 128 - light * (bare[1:] - 128))
         noise = limit / max(bare[0], 1)
         if (
@@ -77,12 +77,12 @@ class HoleCheck:
         gap[1:] *= chroma
         return SEEN if float(np.sqrt(gap @ gap)) > limit else UNSEEN
 
-    def _colours(self, point: np.ndarray, height: float) -> tuple[np.ndarray, np.ndarray]:
+    def _sample_colours(self, point: np.ndarray, height: float) -> tuple[np.ndarray, np.ndarray]:
         """Return the colours (n, C) of the image and of the bare plate at those n of the points (m,
         2) [m] that are in the image. The points are at a height [m]."""
         place = self.calibration.place
         if height and place is not None:
-            point = place[:2] + (point - place[:2]) * magnified(place, height)
+            point = place[:2] + (point - place[:2]) * magnification(place, height)
         column, row = np.rint(self.calibration.to_image(point)).astype(int).T
         rows, columns = self.image.shape[:2]
         inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
@@ -91,4 +91,4 @@ class HoleCheck:
         if not len(row):
             return bare, bare
         pixels = self.image[row, column][:, None]
-        return compared(pixels, bare.shape[1])[:, 0].astype(float), bare
+        return to_channels(pixels, bare.shape[1])[:, 0].astype(float), bare

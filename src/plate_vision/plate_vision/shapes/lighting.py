@@ -187,19 +187,19 @@ def fit_light(lit: Lit, before: Light | None = None) -> Light:
         weight[~before.shown] = COVERED_WEIGHT
     last = EVEN[:, : seen.shape[1]] if before is None else before.surface
     colours = seen - origin, known - origin, origin
-    near = _away(*colours, lit.chroma, design, last) <= STEADY_LIMIT * limit
+    near = _colour_deviation(*colours, lit.chroma, design, last) <= STEADY_LIMIT * limit
     if np.mean(near) >= STEADY:
-        return Light(*_fitted(*colours, limit, lit.chroma, design, last, PASSES[-2:]))
+        return Light(*_fit_surfaces(*colours, limit, lit.chroma, design, last, PASSES[-2:]))
     usual = float(np.log(max(last[0, 0], 1e-3)))
     ratio = np.log(np.maximum(seen[:, 0] - origin[0], 1) / np.maximum(known[:, 0] - origin[0], 1))
     found = []
-    modes = _modes(ratio, weight, seen.shape[1])
+    modes = _frequent_ratios(ratio, weight, seen.shape[1])
     level = float(np.median(seen[:, 0])) - origin[0]
     for mode in modes:
         # The limits are reduced, so that the fit excludes parts that are nearly as bright as the
         # plate.
         gap = min((abs(mode - other) for other in modes if other != mode), default=np.inf)
-        surface, kept = _fitted(
+        surface, kept = _fit_surfaces(
             *colours,
             limit,
             lit.chroma,
@@ -225,7 +225,7 @@ def fit_light(lit: Lit, before: Light | None = None) -> Light:
     return Light(likely[0][1], likely[0][2])
 
 
-def relit(bare: np.ndarray, light: Light, region: Region) -> np.ndarray:
+def apply_light(bare: np.ndarray, light: Light, region: Region) -> np.ndarray:
     """Return the colours (H, W, C) uint8 of the bare plate in a light. The colours are unchanged if
     the light is the same."""
     change = region.samples.design.T @ light.surface
@@ -239,7 +239,7 @@ def relit(bare: np.ndarray, light: Light, region: Region) -> np.ndarray:
     return out
 
 
-def _modes(ratio: np.ndarray, weight: np.ndarray, channels: int) -> list[float]:
+def _frequent_ratios(ratio: np.ndarray, weight: np.ndarray, channels: int) -> list[float]:
     """Return the most frequent values of the logarithms of ratios (K,) in the allowed range."""
     power = 1.0 if channels == 1 else LIGHT_POWER
     low, high = np.log(FACTORS) / power
@@ -258,7 +258,7 @@ def _modes(ratio: np.ndarray, weight: np.ndarray, channels: int) -> list[float]:
     return [float(low + BIN * (peak + 0.5)) for peak in kept[:MODES]]
 
 
-def _fitted(
+def _fit_surfaces(
     seen: np.ndarray,
     known: np.ndarray,
     origin: np.ndarray,
@@ -280,7 +280,9 @@ def _fitted(
     ridge = RIDGE * len(seen) * np.diag([0.0, 1, 1, 1, 1, 1])
     kept = np.ones(len(seen), bool)
     for terms, near in passes:
-        kept = _away(seen, known, origin, chroma, design, surface) <= np.maximum(limit, near)
+        kept = _colour_deviation(seen, known, origin, chroma, design, surface) <= np.maximum(
+            limit, near
+        )
         if np.count_nonzero(kept) < 2 * design.shape[1]:
             return surface, np.zeros(len(seen), bool)
         part = steep[kept][:, :terms]
@@ -291,10 +293,10 @@ def _fitted(
             square = part.T @ part + ridge[:terms, :terms]
             lit = known[kept, 1:] * (part @ surface[:terms, :1])
             surface[:terms, 1:] = np.linalg.solve(square, part.T @ (seen[kept, 1:] - lit))
-    return surface, _away(seen, known, origin, chroma, design, surface) <= limit
+    return surface, _colour_deviation(seen, known, origin, chroma, design, surface) <= limit
 
 
-def _away(
+def _colour_deviation(
     seen: np.ndarray,
     known: np.ndarray,
     origin: np.ndarray,

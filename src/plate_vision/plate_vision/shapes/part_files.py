@@ -21,7 +21,7 @@ from ..errors import CalibrationError, TeachError, check_size
 from ..plate.home import PlateLocation, locate_plate
 from ..plate.region import Region
 from .background import Background, learn_plate
-from .teaching import Example, Lesson, check_alike, learn_type
+from .teaching import Example, Lesson, check_distinguishable, learn_type
 
 OUT = Path("parts.yaml")
 """Default file of part types."""
@@ -48,13 +48,13 @@ def save_part_types(path: Path, types: Mapping[str, PartType]) -> None:
 
 
 def _as_data(part: PartType) -> dict[str, Any]:
-    def rounded(ring: Any) -> list[list[float]]:
+    def round_ring(ring: Any) -> list[list[float]]:
         return [[round(float(x), MICRON), round(float(y), MICRON)] for x, y in ring]
 
     data = {
         "radius_m": round(part.radius_m, MICRON) if part.radius_m else None,
-        "outline_m": None if part.radius_m else rounded(part.outline),
-        "holes_m": [rounded(hole) for hole in part.holes] or None,
+        "outline_m": None if part.radius_m else round_ring(part.outline),
+        "holes_m": [round_ring(hole) for hole in part.holes] or None,
         "mass_kg": part.mass_kg,
         "mu": part.mu,
         "colour_lab": part.colour_lab and [round(value, 1) for value in part.colour_lab],
@@ -84,14 +84,14 @@ def add_type(
     ------
     PlateError
         If the type cannot be learned (see `learn_type`), if it is too similar to another type (see
-        `check_alike`), or if a file cannot be written.
+        `check_distinguishable`), or if a file cannot be written.
     """
     types = dict(load_part_types(path)) if path.exists() else {}
     known = types.get(name)
     if height is None:
         height = 0.0 if known is None else known.height_m
     lesson = learn_type(name, examples, calibration, background, region, height)
-    check_alike(lesson.part, types, calibration)
+    check_distinguishable(lesson.part, types, calibration)
     if known is not None:
         part = replace(lesson.part, mass_kg=known.mass_kg, mu=known.mu)
         lesson = replace(lesson, part=part)

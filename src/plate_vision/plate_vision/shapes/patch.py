@@ -141,12 +141,12 @@ class Patch:
         fall = cv2.Sobel(cover, cv2.CV_32F, 1, 0) / 8, cv2.Sobel(cover, cv2.CV_32F, 0, 1) / 8
         origin = np.array(self.corner) - 2
         return (
-            _to_the_edge(contours[largest], cover, fall) + origin,
-            [_to_the_edge(hole, cover, fall) + origin for hole in holes],
+            _refine_contour(contours[largest], cover, fall) + origin,
+            [_refine_contour(hole, cover, fall) + origin for hole in holes],
         )
 
 
-def _to_the_edge(
+def _refine_contour(
     contour: np.ndarray, cover: np.ndarray, slope: tuple[np.ndarray, np.ndarray]
 ) -> np.ndarray:
     """Move each point of a contour (k, 1, 2) to the nearest place where the cover (h, w) is 0.5, by

@@ -70,7 +70,7 @@ def find_outlines(image: np.ndarray) -> np.ndarray:
     image = np.ascontiguousarray(image)
     background = model_background(image)
     patches = [patch for patch in find_patches(image, background) if patch.whole]
-    slope = _slope(image, background)
+    slope = _relative_gradient(image, background)
     found = np.zeros(len(patches), OUTLINE)
     edged = np.ones(len(patches), bool)
     grey = image if image.ndim == 2 else image[:, :, 1]
@@ -84,7 +84,7 @@ def find_outlines(image: np.ndarray) -> np.ndarray:
         one["x_px"], one["y_px"] = scale * (patch.centre_px + 0.5) - 0.5
         one["radius_px"] = np.mean(scale) * patch.radius_px
         one["round"] = compact > ROUND and filled > ROUND
-        one["angle_rad"] = 0 if one["round"] else _angle(outline)
+        one["angle_rad"] = 0 if one["round"] else _long_side_direction(outline)
         behind = background.grey[patch.place][patch.mask]
         one["background"] = np.median(behind)
         one["contrast"] = np.median(grey[patch.place][patch.mask].astype(float) - behind)
@@ -95,7 +95,7 @@ def find_outlines(image: np.ndarray) -> np.ndarray:
     return found[edged]
 
 
-def _slope(image: np.ndarray, background: Background) -> np.ndarray:
+def _relative_gradient(image: np.ndarray, background: Background) -> np.ndarray:
     """Return the maximum gradient of the colours within one pixel around each pixel (H, W) [1/px],
     relative to the maximum deviation of the background."""
     lab = colours_like(image, background)
@@ -105,7 +105,7 @@ def _slope(image: np.ndarray, background: Background) -> np.ndarray:
     return np.asarray(steepest / np.maximum(background.limit, 1))
 
 
-def _angle(outline: np.ndarray) -> float:
+def _long_side_direction(outline: np.ndarray) -> float:
     """Return the direction [rad] of the longest side of the rectangle with minimum area around an
     outline."""
     corners = cv2.boxPoints(cv2.minAreaRect(outline))

@@ -52,7 +52,9 @@ STAY = 0.05
 weight keeps a corner in place if the outline does not determine its position."""
 
 
-def simplified(name: str, what: str, ring: np.ndarray, reach: float, scale: float) -> np.ndarray:
+def simplify_polygon(
+    name: str, what: str, ring: np.ndarray, reach: float, scale: float
+) -> np.ndarray:
     """Return a polygon (n, 2) [m] with at most `MAX_CORNERS` corners along a ring (k, 2) [m].
 
     `reach` is the part's reach [m], and `scale` is the scale of the picture [px/m].
@@ -73,7 +75,7 @@ def simplified(name: str, what: str, ring: np.ndarray, reach: float, scale: floa
         if len(corner) <= MAX_CORNERS and is_simple(corner):
             break
         loose *= 1.1
-    corner, rms = _fitted(corner, ring)
+    corner, rms = _fit_corners(corner, ring)
     max_rms = max(WORSE * rms, PLAIN_PX / scale, PLAIN * reach)
     # Blur rounds the corners of a part. Due to the rounding, the first polygon often has two
     # corners instead of one.
@@ -82,15 +84,15 @@ def simplified(name: str, what: str, ring: np.ndarray, reach: float, scale: floa
         i = int(np.argmin(side))
         fewer = np.delete(corner, i, axis=0)
         fewer[i % len(fewer)] = 0.5 * (corner[i] + corner[(i + 1) % len(corner)])
-        fewer, rms = _fitted(fewer, ring)
+        fewer, rms = _fit_corners(fewer, ring)
         if (
             not is_simple(fewer)
             or rms > max_rms
-            or _bulge(fewer, ring, CLEAR_PX / scale) > BULGE_PX / scale
+            or _max_ring_distance(fewer, ring, CLEAR_PX / scale) > BULGE_PX / scale
         ):
             break
         corner = fewer
-    off = math.sqrt(float(np.mean(_errors(corner, ring) ** 2)))
+    off = math.sqrt(float(np.mean(_ring_distances(corner, ring) ** 2)))
     if off > max(COARSE * reach, FINE_PX / scale):
         many = len(cv2.approxPolyDP(contour, 1.0, True))
         raise TeachError(
@@ -100,7 +102,7 @@ def simplified(name: str, what: str, ring: np.ndarray, reach: float, scale: floa
     return corner
 
 
-def _fitted(corner: np.ndarray, ring: np.ndarray) -> tuple[np.ndarray, float]:
+def _fit_corners(corner: np.ndarray, ring: np.ndarray) -> tuple[np.ndarray, float]:
     """Fit the corners (n, 2) of a polygon to a ring (k, 2). Return the fitted corners, and the RMS
     distance of the ring from the polygon [m]."""
     size = float(np.max(np.ptp(ring, axis=0)))
@@ -109,22 +111,22 @@ def _fitted(corner: np.ndarray, ring: np.ndarray) -> tuple[np.ndarray, float]:
         # Regularisation: a corner stays at its initial position if the ring of points does not
         # determine it.
         keep = STAY * (flat - corner.ravel() / size)
-        return np.concatenate([_errors(size * flat.reshape(-1, 2), ring) / size, keep])
+        return np.concatenate([_ring_distances(size * flat.reshape(-1, 2), ring) / size, keep])
 
     fit = least_squares(errors, corner.ravel() / size, max_nfev=8)
     moved = size * fit.x.reshape(-1, 2)
     if not is_simple(moved):
         moved = corner
-    return moved, math.sqrt(float(np.mean(_errors(moved, ring) ** 2)))
+    return moved, math.sqrt(float(np.mean(_ring_distances(moved, ring) ** 2)))
 
 
-def _bulge(corner: np.ndarray, ring: np.ndarray, clear: float) -> float:
+def _max_ring_distance(corner: np.ndarray, ring: np.ndarray, clear: float) -> float:
     """Return the maximum distance of a ring's points (k, 2) from a polygon (n, 2) [m]. Points near
     the polygon's corners are ignored."""
     gap = np.hypot(*(ring[:, None] - corner).transpose(2, 0, 1)).min(axis=1)
-    return float(np.max(np.abs(_errors(corner, ring)[gap > clear]), initial=0.0))
+    return float(np.max(np.abs(_ring_distances(corner, ring)[gap > clear]), initial=0.0))
 
 
-def _errors(corner: np.ndarray, ring: np.ndarray) -> np.ndarray:
+def _ring_distances(corner: np.ndarray, ring: np.ndarray) -> np.ndarray:
     """Return the distances (k,) of a ring's points from a polygon (n, 2)."""
     return np.asarray(distances(make_outline([corner]).edges, ring)[:, 0])

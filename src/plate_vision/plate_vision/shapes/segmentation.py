@@ -18,9 +18,9 @@ import numpy as np
 from .. import _kernels
 from ..plate.region import Region
 from .background import Background, colours_like, deviation
-from .grouping import CONVEX, Piece, pieces_of, traits
+from .grouping import CONVEX, Piece, split_into_pieces, traits
 from .patch import HALF, Patch
-from .shadows import Lamp, find_faces, find_lamp, find_sides, take_out_shadows
+from .shadows import Lamp, find_faces, find_lamp, find_sides, remove_shadows
 
 MIN_AREA_PX2: float = _kernels.MIN_AREA_PX2
 """Minimum area of a part [px2]. A disc with a radius of 3 px has this area."""
@@ -176,27 +176,27 @@ def segment(
         faces = None if rise is None else find_faces(sides, away, labels, rise)
         lamp = find_lamp(sides, away, labels, faces) if lamps else None
         if lamp is None:
-            cut = take_out_shadows(sides, away, labels, background.learned, faces)
+            cut = remove_shadows(sides, away, labels, background.learned, faces)
     light = cv2.extractChannel(lab, 0)
     brighter = cv2.compare(light, cv2.extractChannel(background.lab, 0), cv2.CMP_GT)
-    cover = _cover(away, brighter, limit, labels, count)
+    cover = _compute_cover(away, brighter, limit, labels, count)
     if lamp is not None:
         shade = np.minimum(away * np.float32(1 / lamp.level), np.float32(1))
         np.maximum(cover, shade, out=cover, where=sides.lit)
-    mask = _bridged(cover, away, light)
+    mask = _bridge_colour_steps(cover, away, light)
     noise = float(np.median(limit[::NOISE_STEP, ::NOISE_STEP]))
-    patches = _patches(mask, cover, away, lab, noise, region)
-    usual = _usual_area(patches)
+    patches = _find_patches(mask, cover, away, lab, noise, region)
+    usual = _typical_area(patches)
     kept = [
         patch
         for patch in patches
         if patch.area_px2 >= DUST * usual
-        and not (patch.area_px2 < REMNANT * usual and _of_shadow(patch, seen, away))
+        and not (patch.area_px2 < REMNANT * usual and _is_shadow_remnant(patch, seen, away))
     ]
     return Segments(kept, lamp, labels, cut)
 
 
-def _cover(
+def _compute_cover(
     away: np.ndarray, brighter: np.ndarray, limit: np.ndarray, labels: np.ndarray, count: int
 ) -> np.ndarray:
     """Return the fraction of each pixel that a part covers, (H, W) float32. The fraction is the
@@ -215,7 +215,7 @@ def _cover(
     return cover
 
 
-def _bridged(cover: np.ndarray, away: np.ndarray, light: np.ndarray) -> np.ndarray:
+def _bridge_colour_steps(cover: np.ndarray, away: np.ndarray, light: np.ndarray) -> np.ndarray:
     """Return the pixels (H, W) uint8 of parts.
 
     Between two colours of a part there may be pixels that look like the plate, for example at the
@@ -231,7 +231,7 @@ def _bridged(cover: np.ndarray, away: np.ndarray, light: np.ndarray) -> np.ndarr
     return np.asarray(mask)
 
 
-def _patches(
+def _find_patches(
     mask: np.ndarray,
     cover: np.ndarray,
     away: np.ndarray,
@@ -242,28 +242,28 @@ def _patches(
     """Return the patches of a cover (H, W). `mask` (H, W) is 1 at the pixels of parts."""
     contours, family = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     windows = [
-        _window(number, contours, family[0], cover, away)
+        _make_window(number, contours, family[0], cover, away)
         for number, contour in enumerate(contours)
         if family[0][number][3] < 0 and len(contour) >= MIN_CONTOUR_PX
     ]
-    windows = _without_inner(_largest(windows))
+    windows = _merge_enclosed(_largest_windows(windows))
     pixels = cover.size if region is None else int(np.count_nonzero(region.usable))
     solids = [(window.solid, window.amount, lab[window.place]) for window in windows]
     return [
         patch
-        for piece in pieces_of(solids, MIN_AREA_PX2, noise, pixels)
-        if (patch := _patch(piece, windows[piece.rank], region)) is not None
+        for piece in split_into_pieces(solids, MIN_AREA_PX2, noise, pixels)
+        if (patch := _make_patch(piece, windows[piece.rank], region)) is not None
     ]
 
 
-def _of_shadow(patch: Patch, seen: np.ndarray, away: np.ndarray) -> bool:
+def _is_shadow_remnant(patch: Patch, seen: np.ndarray, away: np.ndarray) -> bool:
     """Whether a patch is the rest of a shadow. If so, a shadow was removed around the patch."""
     here = patch.around(2, seen.shape)
     taken = np.count_nonzero((seen[here] > 0) & (away[here] == 0))
     return bool(taken > MIN_REMOVED * patch.area_px2)
 
 
-def _largest(windows: list[Window]) -> list[Window]:
+def _largest_windows(windows: list[Window]) -> list[Window]:
     """Return the `MAX_PATCHES` largest windows."""
     if len(windows) <= MAX_PATCHES:
         return windows
@@ -272,7 +272,7 @@ def _largest(windows: list[Window]) -> list[Window]:
     return [windows[k] for k in kept.tolist()]
 
 
-def _without_inner(windows: list[Window]) -> list[Window]:
+def _merge_enclosed(windows: list[Window]) -> list[Window]:
     """Merge each ring with the objects inside it if the objects fill enough of the ring. The ring
     is then the contour of a part, and the objects are inside this part. Between the ring and the
     objects, the part looks like the plate."""
@@ -300,7 +300,7 @@ def _without_inner(windows: list[Window]) -> list[Window]:
     return [window for k, window in enumerate(kept) if k not in inner]
 
 
-def _usual_area(patches: list[Patch]) -> float:
+def _typical_area(patches: list[Patch]) -> float:
     """Return the typical area of a part [px2]. The result is the weighted median of the parts'
     areas. Half of the pixels of all parts belong to parts above this area."""
     area = np.sort([patch.area_px2 for patch in patches if patch.whole and not patch.group])
@@ -348,7 +348,7 @@ class Window(NamedTuple):
         return Window(self.corner, solid, np.zeros_like(solid), amount, amount, self.enclosed)
 
 
-def _window(
+def _make_window(
     number: int,
     contours: Sequence[np.ndarray],
     family: np.ndarray,
@@ -400,7 +400,7 @@ def _window(
     return Window((x0, y0), solid, holes > 0, amount, true, enclosed > 0)
 
 
-def _patch(piece: Piece, window: Window, region: Region | None) -> Patch | None:
+def _make_patch(piece: Piece, window: Window, region: Region | None) -> Patch | None:
     """Return one patch in its own window. Return None if the patch is thinner than a part."""
     left, top, width, height = cv2.boundingRect(piece.inside.astype(np.uint8))
     x0, y0 = max(left - 1, 0), max(top - 1, 0)

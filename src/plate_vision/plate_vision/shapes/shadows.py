@@ -4,7 +4,7 @@ are soft.
 The edge of a part is as sharp as the image. The part's shadow is lighter than the part, and the
 edge of the shadow is softer. Therefore, each patch is separated into a light and a dark side (by
 Otsu's method), and it is checked whether the light side is a shadow. `find_lamp` determines one
-lamp for all shadows, and `take_out_shadows` removes single shadows.
+lamp for all shadows, and `remove_shadows` removes single shadows.
 """
 
 from __future__ import annotations
@@ -221,7 +221,7 @@ def find_faces(
     """
     count = len(sides.total)
     faces = np.zeros(count, bool)
-    bound, *_ = _two_sides(sides, away, labels)
+    bound, *_ = _separate_sides(sides, away, labels)
     rows, columns = np.nonzero((bound > 0)[labels])
     patch = labels[rows, columns]
     for k in np.flatnonzero(bound > 0).tolist():
@@ -242,7 +242,7 @@ def find_faces(
     return faces
 
 
-def _two_sides(
+def _separate_sides(
     sides: Sides, away: np.ndarray, labels: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return three arrays (count,) with values of each patch. The first array contains the
@@ -291,7 +291,7 @@ def find_lamp(
         return None
     grey = np.bincount(patch[own], minlength=count) < MIN_PART * sides.total
     # If a part and its shadow differ only in brightness, the darker side of the patch is the part.
-    bound, *_ = _two_sides(sides, away, labels)
+    bound, *_ = _separate_sides(sides, away, labels)
     darker = (grey & (bound > 0))[patch] & (away[rows, columns] > bound[patch])
     own |= darker
     shaded &= ~darker
@@ -336,7 +336,7 @@ def find_lamp(
     return Lamp(level, usual * unit, 1.5 * spread)
 
 
-def take_out_shadows(
+def remove_shadows(
     sides: Sides,
     away: np.ndarray,
     labels: np.ndarray,
@@ -362,7 +362,7 @@ def take_out_shadows(
     """
     like, lit, slope, steepest, largest, total, balance = sides
     count = len(total)
-    _clear_bright(away, like, labels, (balance > 0) & (total >= MIN_AREA_PX2))
+    _clear_shadows_of_bright_parts(away, like, labels, (balance > 0) & (total >= MIN_AREA_PX2))
     width = largest / np.maximum(steepest, 1)
     large = np.flatnonzero((total >= MIN_AREA_PX2) & (steepest > 0))
     cut = np.zeros(count, bool)
@@ -371,7 +371,7 @@ def take_out_shadows(
     sharp = float(np.percentile(width[large], SHARP_PERCENT))
     if plate_known:
         sharp = max(sharp, _part_width(width, largest, total, balance, large))
-    bound, light, dark = _two_sides(sides, away, labels)
+    bound, light, dark = _separate_sides(sides, away, labels)
     if faces is not None:
         bound[faces] = 0
     if np.any(bound > 0):
@@ -379,10 +379,10 @@ def take_out_shadows(
         fade, direction = np.empty(count, np.float32), np.zeros((count, 2))
         _kernels.find_fade(away, around, lit, slope, labels, bound, light, fade, direction)
         softness = np.where(fade > 0, light / np.maximum(sharp * fade, 1e-3), 0)
-        bound = _of_shadows(bound, light, dark, softness, direction, len(large))
+        bound = _shadow_limits(bound, light, dark, softness, direction, len(large))
         light_side = (lit & (away < bound[labels])).astype(np.uint8)
         shadow = cv2.morphologyEx(light_side, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0
-        if np.any(shadow) and _parts_are_wide(shadow, (away > 0) & ~shadow, labels):
+        if np.any(shadow) and _are_parts_wide(shadow, (away > 0) & ~shadow, labels):
             away[shadow] = 0
             cut[labels[shadow]] = True
     alone = (width > min(SEPARATE_EDGE * sharp, WIDE_PX)) & (balance < -MOSTLY * total)
@@ -412,7 +412,7 @@ def _part_width(
     return float(np.sort(width[clear])[len(clear) // 2])
 
 
-def _clear_bright(
+def _clear_shadows_of_bright_parts(
     away: np.ndarray, like: np.ndarray, labels: np.ndarray, bright: np.ndarray
 ) -> None:
     """Set the deviation to 0 in the shadows of parts that are brighter than the plate. These
@@ -428,7 +428,7 @@ def _clear_bright(
     away[(shadow > 0) & reached[places]] = 0
 
 
-def _parts_are_wide(shadow: np.ndarray, parts: np.ndarray, labels: np.ndarray) -> bool:
+def _are_parts_wide(shadow: np.ndarray, parts: np.ndarray, labels: np.ndarray) -> bool:
     """Whether the parts are more than `DARK_WIDTH` times as wide as their shadows in most patches
     with a shadow. The width is the maximum distance of a pixel from the edge of the area."""
     width = np.zeros((2, labels.max() + 1), np.float32)
@@ -439,7 +439,7 @@ def _parts_are_wide(shadow: np.ndarray, parts: np.ndarray, labels: np.ndarray) -
     return bool(np.median(casts / cast) > DARK_WIDTH)
 
 
-def _of_shadows(
+def _shadow_limits(
     bound: np.ndarray,
     light: np.ndarray,
     dark: np.ndarray,

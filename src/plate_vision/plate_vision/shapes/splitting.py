@@ -31,7 +31,7 @@ LEVELS_PX = 16
 """Resolution of the distances when pixels are sorted [steps per pixel]."""
 
 
-def split(cover: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, int, np.ndarray]:
+def split_patch(cover: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, int, np.ndarray]:
     """Split a patch.
 
     Parameters
@@ -51,12 +51,12 @@ def split(cover: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, int, np.ndar
         Necks. Each row contains the numbers of two parts, and the width of the neck between them,
         relative to the width of the narrower part.
     """
-    framed = _framed(np.where(mask, cover, np.float32(0)))
+    framed = _add_frame(np.where(mask, cover, np.float32(0)))
     size = (ZOOM * framed.shape[1], ZOOM * framed.shape[0])
     fine = cv2.resize(framed, size, interpolation=cv2.INTER_LINEAR)
     inner = cv2.distanceTransform((fine > LEVEL).astype(np.uint8), cv2.DIST_L2, 5)
     outer = cv2.distanceTransform(
-        cv2.resize(_framed(mask.astype(np.uint8)), size, interpolation=cv2.INTER_NEAREST),
+        cv2.resize(_add_frame(mask.astype(np.uint8)), size, interpolation=cv2.INTER_NEAREST),
         cv2.DIST_L2,
         3,
     )
@@ -67,6 +67,6 @@ def split(cover: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, int, np.ndar
     return np.ascontiguousarray(own), count, necks
 
 
-def _framed(image: np.ndarray) -> np.ndarray:
+def _add_frame(image: np.ndarray) -> np.ndarray:
     """Return an image (h + 2, w + 2) with a frame of 0."""
     return np.asarray(cv2.copyMakeBorder(image, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0))

@@ -23,10 +23,10 @@ from ..errors import TeachError, check_size
 from ..recognition import calibrate_by_scale
 from ..vision import make_vision
 from .part_files import OUT, add_type, colour_text, lesson_text, load_bare, save_part_types
-from .teaching import Example, apart, drawn_name, merged
+from .teaching import Example, drawing_file_name, merge_types, type_differences
 
 COMMANDS = ("list", "merge", "rename", "delete")
-"""Words that are commands and not names of types, in the order of `_managing_parser`."""
+"""Words that are commands and not names of types, in the order of `_make_management_parser`."""
 
 BOX = (
     "use only the part in this box; X and Y are its upper left corner [px]. Up to five boxes, each "
@@ -53,7 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line. If there is an error, print it in one line and exit with code 2."""
     argv = list(sys.argv[1:] if arguments is None else arguments)
     managing = bool(argv) and argv[0] in COMMANDS
-    args = (_managing_parser() if managing else _parser()).parse_args(argv)
+    args = (_make_management_parser() if managing else _make_teach_parser()).parse_args(argv)
     try:
         args.run(args)
     except BrokenPipeError:
@@ -63,7 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         sys.exit(2)
 
 
-def _parser() -> argparse.ArgumentParser:
+def _make_teach_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="teach",
         description=(__doc__ or "").partition("\n")[0],
@@ -74,9 +74,9 @@ def _parser() -> argparse.ArgumentParser:
     add("pictures", metavar="PICTURES", type=Path, nargs="+", help="one to five files, or a folder")
     add("--rig", default="", help="rig file, or a name in config/rigs (default: the default rig)")
     add("--bare", type=Path, help="picture of the bare plate, or a folder of pictures")
-    add("--box", type=_box, action="append", default=[], metavar="X,Y,WIDTH,HEIGHT", help=BOX)
-    add("--scale", type=_scale, metavar="PX_PER_MM", help=SCALE)
-    add("--height", type=_height, metavar="M", help=HEIGHT)
+    add("--box", type=_parse_box, action="append", default=[], metavar="X,Y,WIDTH,HEIGHT", help=BOX)
+    add("--scale", type=_parse_scale, metavar="PX_PER_MM", help=SCALE)
+    add("--height", type=_parse_height, metavar="M", help=HEIGHT)
     add(
         "--out",
         type=Path,
@@ -87,7 +87,7 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _managing_parser() -> argparse.ArgumentParser:
+def _make_management_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="teach", description=(__doc__ or "").partition("\n")[0])
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     abouts: tuple[tuple[Callable[..., None], str, dict[str, str]], ...] = (
@@ -107,7 +107,7 @@ def _managing_parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _box(text: str) -> tuple[int, int, int, int]:
+def _parse_box(text: str) -> tuple[int, int, int, int]:
     try:
         x, y, width, height = (int(word) for word in text.split(","))
     except ValueError:
@@ -118,7 +118,7 @@ def _box(text: str) -> tuple[int, int, int, int]:
     return x, y, width, height
 
 
-def _scale(text: str) -> float:
+def _parse_scale(text: str) -> float:
     try:
         scale = float(text)
     except ValueError:
@@ -128,7 +128,7 @@ def _scale(text: str) -> float:
     return scale
 
 
-def _height(text: str) -> float:
+def _parse_height(text: str) -> float:
     try:
         height = float(text)
     except ValueError:
@@ -177,7 +177,8 @@ def _teach(args: argparse.Namespace) -> None:
         # has no effect. In this case, the picture can be cut.
         cuts = args.scale is not None and bare is None
         examples = [
-            _boxed(picture, box, f"{name}, box {','.join(map(str, box))}", cuts) for box in args.box
+            _make_example(picture, box, f"{name}, box {','.join(map(str, box))}", cuts)
+            for box in args.box
         ]
     else:
         examples = [Example(pixels, name=other) for other, pixels in pictures]
@@ -191,7 +192,9 @@ def _teach(args: argparse.Namespace) -> None:
     print(f"written: {args.out} (types), {picture_file} (picture of the taught part)")
 
 
-def _boxed(picture: np.ndarray, box: tuple[int, int, int, int], name: str, cuts: bool) -> Example:
+def _make_example(
+    picture: np.ndarray, box: tuple[int, int, int, int], name: str, cuts: bool
+) -> Example:
     """Return the example that a box in a picture contains. If `cuts`, the picture is cut to the box
     and its surround."""
     x, y, width, height = box
@@ -203,7 +206,7 @@ def _boxed(picture: np.ndarray, box: tuple[int, int, int, int], name: str, cuts:
     return Example(picture[top:bottom, left:right].copy(), inner, name)
 
 
-def _known(types: dict[str, PartType], name: str, path: Path) -> PartType:
+def _find_type(types: dict[str, PartType], name: str, path: Path) -> PartType:
     if name not in types:
         raise TeachError(
             f"{path}: type is {name!r}, allowed: {', '.join(types) or 'none, the file is empty'}"
@@ -225,9 +228,9 @@ def _merge(args: argparse.Namespace) -> None:
     types = dict(load_part_types(args.out))
     if args.name == args.other:
         raise TeachError(f"{args.out}: both types are {args.other!r}, allowed: different types")
-    part, other = _known(types, args.name, args.out), _known(types, args.other, args.out)
-    outlines, _, colours = apart(part, other, 1e3)
-    types[args.name] = merged(part, other)
+    part, other = _find_type(types, args.name, args.out), _find_type(types, args.other, args.out)
+    outlines, _, colours = type_differences(part, other, 1e3)
+    types[args.name] = merge_types(part, other)
     del types[args.other]
     save_part_types(args.out, types)
     print(
@@ -238,12 +241,12 @@ def _merge(args: argparse.Namespace) -> None:
 
 def _rename(args: argparse.Namespace) -> None:
     types = dict(load_part_types(args.out))
-    part = _known(types, args.name, args.out)
+    part = _find_type(types, args.name, args.out)
     if args.new in types:
         raise TeachError(f"{args.out}: type {args.new!r} exists, allowed: a new name")
     picture = part.picture
-    if picture == drawn_name(args.name) and args.out.with_name(picture).exists():
-        picture = drawn_name(args.new)
+    if picture == drawing_file_name(args.name) and args.out.with_name(picture).exists():
+        picture = drawing_file_name(args.new)
     renamed = {(args.new if name == args.name else name): kept for name, kept in types.items()}
     renamed[args.new] = replace(part, name=args.new, picture=picture)
     save_part_types(args.out, renamed)
@@ -254,11 +257,11 @@ def _rename(args: argparse.Namespace) -> None:
 
 def _delete(args: argparse.Namespace) -> None:
     types = dict(load_part_types(args.out))
-    part = _known(types, args.name, args.out)
+    part = _find_type(types, args.name, args.out)
     del types[args.name]
     save_part_types(args.out, types)
     # delete only the picture that this program has drawn, not a picture of the user
-    if part.picture == drawn_name(args.name):
+    if part.picture == drawing_file_name(args.name):
         args.out.with_name(part.picture).unlink(missing_ok=True)
     print(f"{args.name} was deleted")
 

@@ -2,7 +2,7 @@
 
 The outline of each part is measured. The outlines are fitted to each other and averaged. The mean
 outline is simplified to a polygon. The symmetry is the number of rotations that transform the mean
-outline into itself. `check_alike` raises an error if two types cannot be distinguished.
+outline into itself. `check_distinguishable` raises an error if two types cannot be distinguished.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from ..camera.lens import Calibration
 from ..errors import TeachError
 from ..plate.region import Region
 from .background import Background, model_background
-from .catalogue import Template, lay_on, make_template
+from .catalogue import Template, fit_template, make_template
 from .classes import (
     COLOUR_LAB,
     FIT_PX,
@@ -35,7 +35,7 @@ from .classes import (
 )
 from .outlines import Outline, distances, make_outline
 from .patch import Patch
-from .polygons import simplified
+from .polygons import simplify_polygon
 from .segmentation import find_patches
 
 MAX_PICTURES = 5
@@ -198,7 +198,7 @@ def teach(
     types: dict[str, PartType] = {}
     for name, pictures in examples.items():
         lesson = learn_type(name, pictures, calibration, background, region)
-        check_alike(lesson.part, types, calibration)
+        check_distinguishable(lesson.part, types, calibration)
         types[name] = lesson.part
     return types
 
@@ -229,7 +229,7 @@ def learn_type(
     unused: list[str] = []
     for example in examples:
         try:
-            shown += _measured(name, example, calibration, background, region)
+            shown += _measure_example(name, example, calibration, background, region)
         except TeachError as error:
             unused.append(str(error))
     if not shown:
@@ -238,35 +238,37 @@ def learn_type(
         bases = footprints([one.outline for one in shown], calibration, height)
         shown = [replace(one, outline=base) for one, base in zip(shown, bases, strict=True)]
     scale = float(np.median(calibration.scale(np.array([one.outline.centre for one in shown]))))
-    shown = _agreeing(name, shown, scale, unused)
+    shown = _select_agreeing(name, shown, scale, unused)
     outlines = [one.outline for one in shown]
     mean, pose, deviation, unlike = _mean_outline(outlines, scale)
     coloured = any(example.image.ndim == 3 for example in examples)
-    part = _simplified(name, mean, scale, unlike)
+    part = _simplify_type(name, mean, scale, unlike)
     colour = np.mean([one.colour for one in shown], axis=0) * (1.0, coloured, coloured)
     part = replace(
         part,
         colour_lab=(float(colour[0]), float(colour[1]), float(colour[2])),
         scatter_m=deviation,
         height_m=height,
-        picture=drawn_name(name),
+        picture=drawing_file_name(name),
     )
     size = 2 * np.sqrt(np.array([o.area for o in outlines]) / np.pi)
-    picture = _picture(part, shown[0].example, pose, calibration)
-    warnings = _warnings(name, shown, colour, coloured)
+    picture = _draw_example(part, shown[0].example, pose, calibration)
+    warnings = _recognition_warnings(name, shown, colour, coloured)
     if height == 0:
         warnings += _height_warning(name, outlines, calibration, scale, unlike)
     size_m = np.array([size.mean(), size.std()])
     return Lesson(part, len(outlines), size_m, picture, tuple(unused), warnings)
 
 
-def drawn_name(name: str) -> str:
+def drawing_file_name(name: str) -> str:
     """Return the file name of a type's drawn picture. For a type `nut`, the name is not `nut.png`,
     because a photograph may have this name."""
     return f"{name}_taught.png"
 
 
-def check_alike(part: PartType, types: Mapping[str, PartType], calibration: Calibration) -> None:
+def check_distinguishable(
+    part: PartType, types: Mapping[str, PartType], calibration: Calibration
+) -> None:
     """Raise an error if a type cannot be distinguished from another type.
 
     Raises
@@ -305,7 +307,7 @@ class Gap(NamedTuple):
 
 def gap_between(a: PartType, b: PartType, scale: float) -> Gap:
     """Return the distance between two types in an image with a scale [px/m]."""
-    rest_px, swell_px, colour = apart(a, b, scale)
+    rest_px, swell_px, colour = type_differences(a, b, scale)
     reach_px = scale * max(a.reach_m, b.reach_m)
     size = swell_px / math.hypot(SIZE_PX, SIZE_REACH * reach_px)
     rest = rest_px / math.hypot(FIT_PX, FIT_REACH * reach_px)
@@ -320,26 +322,26 @@ def gap_between(a: PartType, b: PartType, scale: float) -> Gap:
     )
 
 
-def apart(a: PartType, b: PartType, scale: float) -> tuple[float, float, float]:
+def type_differences(a: PartType, b: PartType, scale: float) -> tuple[float, float, float]:
     """Return three differences between two types. The first difference is the RMS distance between
     the outlines after one outline has grown evenly [px at `scale` px/m]. The second difference is
     the growth of this outline [px]. The third difference is the distance between the colours in
     Lab, or 0 if a colour is unknown."""
     one, other = make_template(a), make_template(b)
-    fit = lay_on(one, other.outline, scale)
+    fit = fit_template(one, other.outline, scale)
     gap = 0.0
     if a.colour_lab is not None and b.colour_lab is not None:
         gap = float(colour_distance(np.array(a.colour_lab), np.array(b.colour_lab), True))
     return scale * float(fit[4]), scale * float(fit[3]), gap
 
 
-def merged(a: PartType, b: PartType) -> PartType:
+def merge_types(a: PartType, b: PartType) -> PartType:
     """Return the mean of two types that are one type in reality. The mean has the name, mass and
     friction of the first type."""
     one, other = make_template(a), make_template(b)
     scale = 1 / (0.02 * a.reach_m)
     mean, _, deviation, _ = _mean_outline([one.outline, other.outline], scale)
-    part = _simplified(a.name, mean, scale)
+    part = _simplify_type(a.name, mean, scale)
     colour = a.colour_lab or b.colour_lab
     if a.colour_lab is not None and b.colour_lab is not None:
         light, red, yellow = np.mean([a.colour_lab, b.colour_lab], axis=0)
@@ -355,7 +357,7 @@ def merged(a: PartType, b: PartType) -> PartType:
     )
 
 
-def _measured(
+def _measure_example(
     name: str,
     example: Example,
     calibration: Calibration,
@@ -367,7 +369,7 @@ def _measured(
     bare = model_background(example.image) if background is None else background
     patches = find_patches(example.image, bare, region)
     if example.box_px is not None:
-        patches = [patch for patch in patches if _is_in(patch, example.box_px)]
+        patches = [patch for patch in patches if _is_in_box(patch, example.box_px)]
         patches = sorted(patches, key=lambda patch: -patch.area_px2)[:1]
     kept = sorted((patch for patch in patches if patch.whole), key=lambda patch: patch.corner)
     if not kept:
@@ -403,7 +405,7 @@ def _blur_px(image: np.ndarray, patch: Patch) -> float:
     return float(np.median(contrast / (np.sqrt(2 * np.pi) * np.maximum(slope, 1e-9))))
 
 
-def _warnings(
+def _recognition_warnings(
     name: str, shown: Sequence[_Shown], colour: np.ndarray, coloured: bool
 ) -> tuple[str, ...]:
     """Return warnings about reasons why a type may be difficult to recognise: blurred examples, or
@@ -457,7 +459,7 @@ def _height_warning(
     )
 
 
-def _is_in(patch: Patch, box_px: tuple[float, float, float, float]) -> bool:
+def _is_in_box(patch: Patch, box_px: tuple[float, float, float, float]) -> bool:
     """Whether the centre of a patch is in a box, or the patch covers the centre of the box."""
     x0, y0, x1, y1 = box_px
     x, y = patch.centre_px
@@ -468,7 +470,9 @@ def _is_in(patch: Patch, box_px: tuple[float, float, float, float]) -> bool:
     return bool(x0 <= x <= x1 and y0 <= y <= y1)
 
 
-def _agreeing(name: str, shown: Sequence[_Shown], scale: float, unused: list[str]) -> list[_Shown]:
+def _select_agreeing(
+    name: str, shown: Sequence[_Shown], scale: float, unused: list[str]
+) -> list[_Shown]:
     """Return the parts that agree with each other. Add the reasons why other parts are not used to
     `unused`.
 
@@ -479,7 +483,7 @@ def _agreeing(name: str, shown: Sequence[_Shown], scale: float, unused: list[str
     """
     # The part with the median size is the reference.
     middle = sorted(shown, key=lambda one: one.outline.filled.area)[len(shown) // 2].outline
-    template = _as_template(_shifted(middle, middle.centre))
+    template = _as_template(_shift_outline(middle, middle.centre))
     kept, problems = [], []
     for one in shown:
         start = f"type {name}: examples differ: in {one.example.name}"
@@ -489,7 +493,7 @@ def _agreeing(name: str, shown: Sequence[_Shown], scale: float, unused: list[str
                 f"{len(middle.rings) - 1} in another example, allowed: the same number in all"
             )
             continue
-        fit = lay_on(template, one.outline, scale)
+        fit = fit_template(template, one.outline, scale)
         for what, error, fraction in (("outline", fit[4], DIFFER), ("size", fit[3], DIFFER_SIZE)):
             max_error = max(fraction * middle.reach, DIFFER_PX / scale)
             if abs(error) > max_error:
@@ -518,21 +522,26 @@ def _mean_outline(
     # The first mean outline is the outline of median size. The other outlines are fitted to the
     # mean outline.
     first = int(np.argsort([outline.area for outline in outlines])[len(outlines) // 2])
-    mean = _shifted(outlines[first], outlines[first].centre)
+    mean = _shift_outline(outlines[first], outlines[first].centre)
     deviation = unlike = 0.0
     for _ in range(2 if len(outlines) > 1 else 0):
-        fits = [lay_on(_as_template(mean), outline, scale) for outline in outlines]
+        fits = [fit_template(_as_template(mean), outline, scale) for outline in outlines]
         deviation = math.sqrt(float(np.mean([fit[3] ** 2 + fit[4] ** 2 for fit in fits])))
         unlike = math.sqrt(float(np.mean([fit[4] ** 2 for fit in fits])))
-        laid = [_turned(outline, fit[:3]) for outline, fit in zip(outlines, fits, strict=True)]
-        mean = _average(mean, laid)
-    symmetry = _symmetry(mean, scale)
+        laid = [
+            _transform_outline(outline, fit[:3])
+            for outline, fit in zip(outlines, fits, strict=True)
+        ]
+        mean = _average_outlines(mean, laid)
+    symmetry = _symmetry_order(mean, scale)
     if symmetry > 1:
         angles = 2 * np.pi * np.arange(symmetry) / symmetry
-        mean = _average(mean, [_turned(mean, np.array([0, 0, angle])) for angle in angles])
-    pose = lay_on(_as_template(mean), outlines[0], scale)[:3]
+        mean = _average_outlines(
+            mean, [_transform_outline(mean, np.array([0, 0, angle])) for angle in angles]
+        )
+    pose = fit_template(_as_template(mean), outlines[0], scale)[:3]
     # Rotate the mean outline so that it has the angle of the first outline.
-    mean = _turned(mean, np.array([0, 0, -pose[2]]))
+    mean = _transform_outline(mean, np.array([0, 0, -pose[2]]))
     return mean, np.array([pose[0], pose[1], 0.0]), deviation, unlike
 
 
@@ -540,18 +549,18 @@ def _as_template(outline: Outline) -> Template:
     return Template(PartType("mean"), outline.edges, outline)
 
 
-def _shifted(outline: Outline, centre: np.ndarray) -> Outline:
+def _shift_outline(outline: Outline, centre: np.ndarray) -> Outline:
     return make_outline([ring - centre for ring in outline.rings])
 
 
-def _turned(outline: Outline, pose: np.ndarray) -> Outline:
+def _transform_outline(outline: Outline, pose: np.ndarray) -> Outline:
     """Transform an outline to the frame of a pose (3,) [m, m, rad]."""
     c, s = np.cos(pose[2]), np.sin(pose[2])
     rotation = np.array([[c, -s], [s, c]])
     return make_outline([(ring - pose[:2]) @ rotation for ring in outline.rings])
 
 
-def _average(mean: Outline, outlines: Sequence[Outline]) -> Outline:
+def _average_outlines(mean: Outline, outlines: Sequence[Outline]) -> Outline:
     """Move the points of a mean outline to the average of outlines that are fitted to it. Return
     the new mean outline, relative to its centre."""
     shift = np.zeros_like(mean.points)
@@ -560,15 +569,15 @@ def _average(mean: Outline, outlines: Sequence[Outline]) -> Outline:
         shift -= distance[:, :1] * distance[:, 1:]
     moved = mean.points + shift / len(outlines)
     middle = make_outline(np.split(moved, mean.ends[:-1]))
-    return _shifted(middle, middle.centre)
+    return _shift_outline(middle, middle.centre)
 
 
-def _symmetry(mean: Outline, scale: float) -> int:
+def _symmetry_order(mean: Outline, scale: float) -> int:
     """Return the number of directions in which a mean outline looks the same, up to
     `MAX_SYMMETRY`."""
     edges = mean.edges
     for count in range(MAX_SYMMETRY, 1, -1):
-        turned = _turned(mean, np.array([0, 0, 2 * np.pi / count]))
+        turned = _transform_outline(mean, np.array([0, 0, 2 * np.pi / count]))
         square = distances(edges, turned.points)[:, 0] ** 2
         rest = math.sqrt(max(float(np.mean(ring)) for ring in np.split(square, mean.ends[:-1])))
         if rest < max(TURNED * mean.reach, TURNED_PX / scale):
@@ -576,7 +585,7 @@ def _symmetry(mean: Outline, scale: float) -> int:
     return 1
 
 
-def _simplified(name: str, mean: Outline, scale: float, unlike: float = 0.0) -> PartType:
+def _simplify_type(name: str, mean: Outline, scale: float, unlike: float = 0.0) -> PartType:
     """Return a type whose outline is the mean outline as a polygon. The type is a disc if the
     outline is round, or if the difference between the examples (`unlike`, RMS [m]) is so large that
     no angle can be measured.
@@ -595,19 +604,19 @@ def _simplified(name: str, mean: Outline, scale: float, unlike: float = 0.0) -> 
     radius = math.sqrt(outer.area / math.pi)
     around = np.hypot(*(outer.points - outer.centre).T)
     rough = float(np.std(around))
-    data: dict[str, Any] = {"symmetry": _symmetry(mean, scale)}
+    data: dict[str, Any] = {"symmetry": _symmetry_order(mean, scale)}
     round_enough = max(ROUND * radius, ROUND_PX / scale, UNEVEN * unlike)
     if rough < round_enough and np.hypot(*outer.centre) < ROUND * radius:
         data = {"symmetry": 0, "radius_m": radius}
     else:
-        data["outline_m"] = simplified(name, "outline", rings[0], mean.reach, scale).tolist()
+        data["outline_m"] = simplify_polygon(name, "outline", rings[0], mean.reach, scale).tolist()
     if len(rings) > 1:
-        holes = [simplified(name, "hole", ring, mean.reach, scale) for ring in rings[1:]]
+        holes = [simplify_polygon(name, "hole", ring, mean.reach, scale) for ring in rings[1:]]
         data["holes_m"] = [hole.tolist() for hole in holes]
     return read_part_types(Fields({name: data}, "teach", TeachError))[name]
 
 
-def _picture(
+def _draw_example(
     part: PartType, example: Example, pose: np.ndarray, calibration: Calibration
 ) -> np.ndarray:
     """Return a picture (H, W, 3) of an example. The type's outline and the direction of the angle 0
@@ -624,13 +633,15 @@ def _picture(
     size = (PICTURE_PX, PICTURE_PX)
     picture = cv2.warpAffine(colour, to_picture, size, borderMode=cv2.BORDER_REPLICATE)
 
-    def drawn(ring: np.ndarray) -> np.ndarray:
+    def picture_points(ring: np.ndarray) -> np.ndarray:
         points = calibration.to_image(ring + pose[:2]) @ to_picture[:, :2].T + to_picture[:, 2]
         return np.rint(16 * points).astype(np.int32)
 
     rings = [part.polygon, *(np.array(hole) for hole in part.holes)]
-    cv2.polylines(picture, [drawn(ring) for ring in rings], True, (0, 160, 255), 1, cv2.LINE_AA, 4)
-    front = drawn(np.array([[0, 0], [part.reach_m, 0]]))
+    cv2.polylines(
+        picture, [picture_points(ring) for ring in rings], True, (0, 160, 255), 1, cv2.LINE_AA, 4
+    )
+    front = picture_points(np.array([[0, 0], [part.reach_m, 0]]))
     cv2.arrowedLine(
         picture, front[0].tolist(), front[1].tolist(), (60, 60, 230), 1, cv2.LINE_AA, 4, 0.12
     )

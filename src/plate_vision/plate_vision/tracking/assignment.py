@@ -97,17 +97,17 @@ def assign(
     found = np.full(len(tracks), -1)
     if not len(found) or not seen:
         return found
-    other = _other_gain(tracks, seen) + _angle_gain(tracks, stamp, seen)
+    other = _class_gain(tracks, seen) + _angle_gain(tracks, stamp, seen)
     drift = _drift_gain(tracks, stamp, seen, gate)
-    choices = [_best(drift + other)]
+    choices = [_solve_assignment(drift + other)]
     if expected is not None:
-        usual, poor = _known_gains(tracks, stamp, seen, gate, expected, drift)
-        rows, columns, gain = _best(usual + other)
+        usual, poor = _prediction_gains(tracks, stamp, seen, gate, expected, drift)
+        rows, columns, gain = _solve_assignment(usual + other)
         # The gain of the assignment with usual prediction errors is increased, because large errors
         # of the predictions are rare.
         choices = [
             (rows, columns, gain - math.log(PREDICTIONS_FAIL)),
-            _best(poor + other),
+            _solve_assignment(poor + other),
             *choices,
         ]
     rows, columns, _ = max(choices, key=lambda choice: choice[2])
@@ -115,7 +115,7 @@ def assign(
     return found
 
 
-def _best(gain: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+def _solve_assignment(gain: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     """Return the rows, the columns and the sum of the assignment with the largest sum of gains.
     Pairs with a gain of 0 or less are omitted."""
     rows, columns = linear_sum_assignment(np.maximum(gain, 0.0), maximize=True)
@@ -124,7 +124,7 @@ def _best(gain: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     return rows[kept], columns[kept], float(np.sum(value[kept]))
 
 
-def _other_gain(tracks: Sequence[Track], seen: Sequence[Detection]) -> np.ndarray:
+def _class_gain(tracks: Sequence[Track], seen: Sequence[Detection]) -> np.ndarray:
     """Return the log likelihood gain of each pair (T, M), without the contribution of the position.
 
     The gain is log(P(class)) + log(shown / (1 - shown)) - log(density of false detections), where
@@ -169,14 +169,14 @@ def _drift_gain(
         track.predicted(stamp, max_distance)
         for track, max_distance in zip(tracks, reach, strict=True)
     ]
-    square = _square(np.array(place), seen)
+    square = _squared_distances(np.array(place), seen)
     wide = reach[:, None] / GATES
     first = np.array([len(track.history) == 1 for track in tracks])[:, None]
     gain = _log_density(square, np.where(first, 1, DRIFT) * wide, wide, TURNED_RATE)
     return np.where(square <= reach[:, None] ** 2, gain, -np.inf)
 
 
-def _known_gains(
+def _prediction_gains(
     tracks: Sequence[Track],
     stamp: float,
     seen: Sequence[Detection],
@@ -197,7 +197,7 @@ def _known_gains(
     fraction = np.minimum((stamp - last) / (expected.stamp - last), MAX_FRACTION)[:, None]
     begin = np.array([track.position for track in known])
     end = expected.position[[row[track.id] for track in known]]
-    square = _square(begin + fraction * (end - begin), seen)
+    square = _squared_distances(begin + fraction * (end - begin), seen)
     beyond = np.maximum(stamp - expected.stamp, 0) / (stamp - last)[:, None]
     wide = gate / GATES * images * beyond
     more = (4 * SWING_M * np.maximum(fraction * (1 - fraction), 0)) ** 2 + (DRIFT * wide) ** 2
@@ -212,7 +212,7 @@ def _known_gains(
     return gains
 
 
-def _square(place: np.ndarray, seen: Sequence[Detection]) -> np.ndarray:
+def _squared_distances(place: np.ndarray, seen: Sequence[Detection]) -> np.ndarray:
     """Return the squared distances (T, M) [m2] between places (T, 2) [m] and detections."""
     gap = place[:, None] - np.array([one.position for one in seen])
     return np.asarray(np.sum(gap**2, axis=2))

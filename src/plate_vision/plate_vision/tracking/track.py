@@ -127,7 +127,7 @@ class Track:
         displacement over the history. The factor is the number of missed images plus two.
         """
         (_, x0, y0), (_, x, y) = self.history[0], self.history[-1]
-        factor = self._extrapolation(stamp, self.history[0][0], self.history[-1][0])
+        factor = self._extrapolation_ratio(stamp, self.history[0][0], self.history[-1][0])
         factor = min(factor, reach / max(math.hypot(x - x0, y - y0), 1e-12))
         return x + (x - x0) * factor, y + (y - y0) * factor
 
@@ -136,9 +136,9 @@ class Track:
         if not self.angles:
             return 0.0
         (first, angle0), (last, angle) = self.angles[0], self.angles[-1]
-        return angle + (angle - angle0) * self._extrapolation(stamp, first, last)
+        return angle + (angle - angle0) * self._extrapolation_ratio(stamp, first, last)
 
-    def _extrapolation(self, stamp: float, first: float, last: float) -> float:
+    def _extrapolation_ratio(self, stamp: float, first: float, last: float) -> float:
         """Return the time from `last` to `stamp`, relative to the time from `first` to `last` [-].
         The result is at most the number of missed images plus two."""
         return 0.0 if last == first else min((stamp - last) / (last - first), self.missed + 2)
@@ -151,7 +151,7 @@ class Track:
         """
         rotation = math.remainder(seen.angle - self.angle, math.tau / max(seen.symmetry, 1))
         votes = (*self.votes, seen.label)[-VOTES:]
-        label = _majority(self.label, votes)
+        label = _vote_label(self.label, votes)
         return Track(
             label,
             self.number if label == self.label else 0,
@@ -168,7 +168,7 @@ class Track:
         return (1 - MISREAD_RATE) * fraction + MISREAD_RATE * (1 - fraction)
 
 
-def _majority(label: str, votes: Sequence[str]) -> str:
+def _vote_label(label: str, votes: Sequence[str]) -> str:
     """Return the class after the last vote. `label` is the class before this vote."""
     if votes[-1] == label:
         return label

@@ -115,7 +115,7 @@ class Tracker:
     @property
     def parts(self) -> Parts:
         """The confirmed parts that were detected in the last image."""
-        seen = self._seen
+        seen = self._detected_tracks
         return Parts.make(
             tuple(track.id for track in seen),
             position=np.array([track.position for track in seen]),
@@ -129,10 +129,10 @@ class Tracker:
         """Quality of each of `parts` (M, 3): standard deviation of the position along each axis
         [m], standard deviation of the angle [rad], and confidence, 0 to 1. Unknown values are
         NaN."""
-        return np.array([track.quality for track in self._seen]).reshape(-1, 3)
+        return np.array([track.quality for track in self._detected_tracks]).reshape(-1, 3)
 
     @property
-    def _seen(self) -> list[Track]:
+    def _detected_tracks(self) -> list[Track]:
         return [track for track in self.found if track.number]
 
 
@@ -195,19 +195,19 @@ def update(
     TrackError
         If shapes do not fit each other, a value is not finite, or a reason is not one of `REASONS`.
     """
-    position, labels = _checked(stamp, position, label)
-    overlooked = _checked_overlooked(overlooked)
+    position, labels = _check_detections(stamp, position, label)
+    overlooked = _check_overlooked(overlooked)
     count, stamp = len(labels), float(stamp)
     if tracker.stamp is not None and stamp == tracker.stamp:
         return tracker
     if tracker.stamp is not None and stamp < tracker.stamp:
         tracker = Tracker(tracker.options)
-    angles = _column("angle", np.zeros(count) if angle is None else angle, (count,))
+    angles = _check_column("angle", np.zeros(count) if angle is None else angle, (count,))
     if not np.all(np.isfinite(angles)):
         raise TrackError(f"angle is {angles.tolist()}, allowed: finite numbers")
     how_well = [UNKNOWN] * count if quality is None else quality
-    how_well = _column("quality", how_well, (count, 3)).tolist()
-    alike = _column("symmetry", np.ones(count) if symmetry is None else symmetry, (count,))
+    how_well = _check_column("quality", how_well, (count, 3)).tolist()
+    alike = _check_column("symmetry", np.ones(count) if symmetry is None else symmetry, (count,))
     places = map(tuple, position.tolist())
     seen = [*map(Detection, labels, places, angles.tolist(), map(tuple, how_well), map(int, alike))]
     options = tracker.options
@@ -229,7 +229,7 @@ def update(
     for i in np.flatnonzero(is_new):
         tracks.append(Track(labels[i], 0, ()).extended(stamp, seen[i], keep))
     confirm = options.confirm if tracker.last_number else 1
-    numbers = _number(tracks, tracker.last_number, confirm)
+    numbers = _assign_ids(tracks, tracker.last_number, confirm)
     renamed = tuple(
         (old.id, new.id) for old, new in zip(before, tracks, strict=False)
         if old.number and old.id != new.id
@@ -245,7 +245,7 @@ def _max_missed(track: Track, options: TrackerOptions) -> int:
     return max(options.max_missed, UNKNOWN_MISSED) if unknown else options.max_missed
 
 
-def _number(tracks: list[Track], numbers: Mapping[str, int], confirm: int) -> dict[str, int]:
+def _assign_ids(tracks: list[Track], numbers: Mapping[str, int], confirm: int) -> dict[str, int]:
     """Give numbers to the new tracks in the list that were detected at least `confirm` times.
     Return the last number of each class."""
     numbers = dict(numbers)
@@ -259,7 +259,7 @@ def _number(tracks: list[Track], numbers: Mapping[str, int], confirm: int) -> di
     return numbers
 
 
-def _checked_overlooked(overlooked: np.ndarray | None) -> np.ndarray:
+def _check_overlooked(overlooked: np.ndarray | None) -> np.ndarray:
     """Return the overlooked objects (n,) OVERLOOKED. Raise an error if the type of the array or a
     reason is wrong."""
     if overlooked is None:
@@ -275,7 +275,9 @@ def _checked_overlooked(overlooked: np.ndarray | None) -> np.ndarray:
     return overlooked
 
 
-def _column(name: str, values: Sequence[Any] | np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+def _check_column(
+    name: str, values: Sequence[Any] | np.ndarray, shape: tuple[int, ...]
+) -> np.ndarray:
     """Return the values of all detections as an array of the given shape. Raise an error if the
     values have another shape."""
     array = np.asarray(values, dtype=float)
@@ -288,7 +290,7 @@ def _column(name: str, values: Sequence[Any] | np.ndarray, shape: tuple[int, ...
     return array
 
 
-def _checked(
+def _check_detections(
     stamp: float, position: np.ndarray, label: Sequence[str] | np.ndarray
 ) -> tuple[np.ndarray, list[str]]:
     position = np.asarray(position, dtype=float).reshape(-1, 2)
