@@ -146,7 +146,7 @@ class CycleRequest:
             period,
         )
         start = None if start is None else filled("start", start, (len(parts), 4))
-        return cls(parts, forces, targets, start, None if plate is None else _state(plate))
+        return cls(parts, forces, targets, start, None if plate is None else _plate_state(plate))
 
     @property
     def forces_or_targets(self) -> Forces | Targets:
@@ -154,7 +154,7 @@ class CycleRequest:
         return self.forces if self.targets is None else self.targets
 
 
-def _state(plate: np.ndarray) -> np.ndarray:
+def _plate_state(plate: np.ndarray) -> np.ndarray:
     state = np.array(plate, float)
     if state.shape != (3, 3) or not np.all(np.isfinite(state)):
         raise PlateError(

@@ -58,23 +58,23 @@ def piped() -> Iterator[None]:
         try:
             yield
         except SystemExit:
-            _flush()
+            _flush_stdout()
             raise
-        _flush()
+        _flush_stdout()
     except BrokenPipeError:
-        if not _unread():
+        if not _has_lost_reader():
             raise  # the error comes from another pipe or a socket, so it is a defect of the program
         # discard the output in Python's buffer
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(128 + signal.SIGPIPE)
 
 
-def _flush() -> None:
+def _flush_stdout() -> None:
     if sys.stdout is not None:
         sys.stdout.flush()
 
 
-def _unread() -> bool:
+def _has_lost_reader() -> bool:
     """Whether stdout or stderr is a pipe whose reader has closed it."""
     poll = select.poll()
     for file in (sys.stdout, sys.stderr):

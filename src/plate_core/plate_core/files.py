@@ -52,15 +52,15 @@ def read_file(path: str | Path, max_bytes: int, error: type[PlateError] = PlateE
     # Check the file before it is opened, because opening a device file may start the device.
     check_file(path, max_bytes, error)
     with (
-        _explained(path, error),
+        _convert_errors(path, error),
         open(os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb") as file,
     ):
         # check again, because the file may have been replaced after the first check
-        _check(path, os.fstat(file.fileno()), max_bytes, error)
+        _check_file_size(path, os.fstat(file.fileno()), max_bytes, error)
         # the result of `read` can be larger than the reported size, for example in /proc
         data = file.read(max_bytes + 1) or b""
     if len(data) > max_bytes:
-        raise error(f"{path}: its size is unlimited, allowed: {_allowed(max_bytes)}")
+        raise error(f"{path}: its size is unlimited, allowed: {_allowed_text(max_bytes)}")
     return data
 
 
@@ -78,12 +78,12 @@ def kind_of(path: str | Path) -> str:
 def check_file(path: str | Path, max_bytes: int, error: type[PlateError] = PlateError) -> None:
     """Raise the same errors as `read_file`. Use this function before a library opens the file
     itself."""
-    with _explained(path, error):
-        _check(path, os.stat(path), max_bytes, error)
+    with _convert_errors(path, error):
+        _check_file_size(path, os.stat(path), max_bytes, error)
 
 
 @contextlib.contextmanager
-def _explained(path: str | Path, error: type[PlateError]) -> Iterator[None]:
+def _convert_errors(path: str | Path, error: type[PlateError]) -> Iterator[None]:
     try:
         yield
     except PlateError:
@@ -94,18 +94,18 @@ def _explained(path: str | Path, error: type[PlateError]) -> Iterator[None]:
         raise error(f"{path}: cannot be read ({problem})") from None
 
 
-def _check(
+def _check_file_size(
     path: str | Path, found: os.stat_result, max_bytes: int, error: type[PlateError]
 ) -> None:
     kind = stat.S_IFMT(found.st_mode)
     if kind != stat.S_IFREG:
-        raise error(f"{path}: is {KINDS.get(kind, 'no file')}, allowed: {_allowed(max_bytes)}")
+        raise error(f"{path}: is {KINDS.get(kind, 'no file')}, allowed: {_allowed_text(max_bytes)}")
     if found.st_size > max_bytes:
         size = f"{found.st_size / 1e6:.4g} MB"
-        raise error(f"{path}: has {size}, allowed: {_allowed(max_bytes)}")
+        raise error(f"{path}: has {size}, allowed: {_allowed_text(max_bytes)}")
 
 
-def _allowed(max_bytes: int) -> str:
+def _allowed_text(max_bytes: int) -> str:
     return f"a regular file up to {max_bytes / 1e6:g} MB"
 
 
@@ -184,7 +184,7 @@ class OwnFile:
         beside = self._place.with_name(f"{self._place.name}.draft")
         number = _create(beside)
         try:
-            _lock(number)
+            _try_lock(number)
             os.fchmod(number, stat.S_IMODE(os.fstat(self._held).st_mode))
             with open(number, "w", encoding="utf-8", closefd=False) as file:
                 file.write(text)
@@ -206,7 +206,7 @@ class OwnFile:
             number = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_NONBLOCK, 0o666)
             try:
                 found = os.fstat(number)
-                free = not stat.S_ISREG(found.st_mode) or _lock(number)
+                free = not stat.S_ISREG(found.st_mode) or _try_lock(number)
                 if free and os.path.samestat(found, os.stat(self._path)):
                     return number
             except FileNotFoundError:
@@ -228,7 +228,7 @@ def _create(path: Path) -> int:
     return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
 
 
-def _lock(number: int) -> bool:
+def _try_lock(number: int) -> bool:
     """Try to lock an open file, without waiting. Return False only if another process holds the
     lock. On a file system without locks, return True. The lock ends when the file is closed."""
     try:

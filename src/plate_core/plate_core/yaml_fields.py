@@ -347,7 +347,7 @@ class Fields:
         value = SHOWN.repr(self._data.get(key))
         return self._error(f"{self._where}: {key} is {value}, allowed: {allowed}")
 
-    def _get(self, key: str, allowed: str) -> Any:
+    def _required(self, key: str, allowed: str) -> Any:
         self._used.add(key)
         if key not in self._data:
             spare = [str(name) for name in self._data if name not in self._used]
@@ -400,7 +400,7 @@ class Fields:
         self._used.add(key.name)
         if not key.required and key.name not in self._data:
             return key.default
-        value = self._get(key.name, key.kind.description)
+        value = self._required(key.name, key.kind.description)
         try:
             return key.kind.read(value)
         except ValueError:
@@ -408,31 +408,31 @@ class Fields:
 
     def number(self, key: str, low: float, high: float, default: float | None = None) -> float:
         """Return a finite number in [low, high]."""
-        return float(self.value(_key(key, Number(low, high), default)))
+        return float(self.value(_undescribed_key(key, Number(low, high), default)))
 
     def integer(self, key: str, low: int, high: int, default: int | None = None) -> int:
         """Return a whole number in [low, high]."""
-        return int(self.value(_key(key, Whole(low, high), default)))
+        return int(self.value(_undescribed_key(key, Whole(low, high), default)))
 
     def flag(self, key: str) -> bool:
         """Return a boolean."""
-        return bool(self.value(_key(key, Flag())))
+        return bool(self.value(_undescribed_key(key, Flag())))
 
     def text(self, key: str, choices: Sequence[str] | None = None) -> str:
         """Return a string, one of `choices` if given."""
-        return str(self.value(_key(key, Choice(choices) if choices else Text())))
+        return str(self.value(_undescribed_key(key, Choice(choices) if choices else Text())))
 
     def array(self, key: str, shape: tuple[int | None, ...], low: float, high: float) -> np.ndarray:
         """Return an array of finite numbers in [low, high]. None in `shape` allows any length."""
-        return np.asarray(self.value(_key(key, Numbers(shape, low, high))))
+        return np.asarray(self.value(_undescribed_key(key, Numbers(shape, low, high))))
 
     def child(self, key: str) -> Fields:
         """Return the mapping at `key`."""
-        return Fields(self._get(key, "a mapping"), f"{self._where}: {key}", self._error)
+        return Fields(self._required(key, "a mapping"), f"{self._where}: {key}", self._error)
 
     def children(self, key: str) -> list[Fields]:
         """Return the mappings of the list at `key`."""
-        value = self.value(_key(key, List()))
+        value = self.value(_undescribed_key(key, List()))
         return [
             Fields(item, f"{self._where}: {key}[{i}]", self._error) for i, item in enumerate(value)
         ]
@@ -461,7 +461,7 @@ def required(key: Key) -> Key:
     return dataclasses.replace(key, default=REQUIRED)
 
 
-def _key(name: str, kind: Kind, default: Any = None) -> Key:
+def _undescribed_key(name: str, kind: Kind, default: Any = None) -> Key:
     """Return a key without a description, which docs/reference.md does not list. If `default` is
     None, the key is required."""
     return Key(name, kind, "", REQUIRED if default is None else default)
@@ -497,7 +497,7 @@ def parse_yaml(content: bytes, path: str | Path, error: type[PlateError]) -> Fie
 
 
 def _load(text: str) -> tuple[Any, str]:
-    """Return the content of a YAML text, and the result of `_mistake` for it.
+    """Return the content of a YAML text, and the result of `_find_mistake` for it.
 
     libyaml reads the content, because it is ten times as fast as PyYAML's own parser. If libyaml
     fails, or if the text is long, PyYAML's own parser reads the content. PyYAML's parser produces
@@ -511,7 +511,7 @@ def _load(text: str) -> tuple[Any, str]:
 
 def _load_with(loader: Any) -> tuple[Any, str]:
     node = loader.get_single_node()
-    mistake = _mistake(node, set())
+    mistake = _find_mistake(node, set())
     return None if node is None else loader.construct_document(node), mistake
 
 
@@ -555,7 +555,7 @@ NOT_DECIMAL = re.compile(r"[-+]?(?:0[0-7_]+|[0-9][0-9_]*(?::[0-5]?[0-9])+(?:\.[0
 base 60, 150."""
 
 
-def _mistake(node: yaml.Node | None, seen: set[yaml.Node], of: str = "file") -> str:
+def _find_mistake(node: yaml.Node | None, seen: set[yaml.Node], of: str = "file") -> str:
     """Return a message about the first decimal comma, the first number of another base, or the
     first key that occurs twice in one mapping, at any depth. The message is empty if the text
     contains none of these mistakes. PyYAML accepts them without an error.
@@ -567,7 +567,7 @@ def _mistake(node: yaml.Node | None, seen: set[yaml.Node], of: str = "file") -> 
         return ""
     seen.add(node)
     if isinstance(node, yaml.SequenceNode):
-        return next(filter(None, (_mistake(item, seen, of) for item in node.value)), "")
+        return next(filter(None, (_find_mistake(item, seen, of) for item in node.value)), "")
     if isinstance(node, yaml.ScalarNode):
         is_number = node.tag.rsplit(":", 1)[-1] in ("int", "float")
         if not is_number or not NOT_DECIMAL.fullmatch(node.value):
@@ -592,7 +592,7 @@ def _mistake(node: yaml.Node | None, seen: set[yaml.Node], of: str = "file") -> 
         if name in lines:
             return f"key {name} occurs twice, at line {lines[name]} and at line {line}; remove one"
         lines[name] = line
-        mistake = _mistake(value, seen, name)
+        mistake = _find_mistake(value, seen, name)
         if mistake:
             return mistake
     return ""

@@ -22,7 +22,7 @@ from plate_core.rig import (
     rig_warnings,
     to_image,
 )
-from plate_core.rig.check_rig import main, report, shake
+from plate_core.rig.check_rig import main, max_sinusoid, rig_report
 from plate_core.rig.consistency import check
 from plate_core.rig.drawing import _draw_plate
 
@@ -157,16 +157,16 @@ def test_radius_in_the_image_is_that_of_the_disc():
 
 def test_sinusoids_by_hand():
     """2 kg: along x two motors push; 10 mm to 16 Hz, 100 m/s2 from there on."""
-    slow, fast = shake(RIG, "x", 5.0), shake(RIG, "x", 40.0)
+    slow, fast = max_sinusoid(RIG, "x", 5.0), max_sinusoid(RIG, "x", 40.0)
     assert slow.limit == "stroke_m"
     assert slow.travel == pytest.approx(0.01)
     assert slow.accel == pytest.approx(0.01 * (10 * np.pi) ** 2)
     assert fast.limit == "accel_mps2"
     assert fast.travel == pytest.approx(100 / (80 * np.pi) ** 2)
     weak = replace(RIG, limits=replace(RIG.limits, force=10.0, continuous_force=5.0))
-    assert shake(weak, "y", 40.0).accel == pytest.approx(10.0)
-    assert shake(weak, "y", 40.0).limit.startswith("force_n of motor_")
-    turned = shake(weak, "theta", 40.0)  # 0.075 kg m2, levers 0.1, 0.1, 0.2, 0.2 m
+    assert max_sinusoid(weak, "y", 40.0).accel == pytest.approx(10.0)
+    assert max_sinusoid(weak, "y", 40.0).limit.startswith("force_n of motor_")
+    turned = max_sinusoid(weak, "theta", 40.0)  # 0.075 kg m2, levers 0.1, 0.1, 0.2, 0.2 m
     most = 10.0 * 0.1 / 0.2 / 0.075
     assert turned.accel == pytest.approx(most * np.hypot(0.3, 0.15))
 
@@ -196,23 +196,23 @@ def test_parallax_is_reported_while_heights_are_unknown():
         f"wrong by up to {1e3 * far * 5e-3 / (high - 5e-3):.2g} mm (in the corner that is "
         f"{1e3 * far:.0f} mm from"
     )
-    said = report(RIG, "a.yaml", [])
+    said = rig_report(RIG, "a.yaml", [])
     assert f"{high:.3g} m above the point [{x:.3f}, {y:.3f}]" in said
     assert says(said, "height_m is 0", "for parts", "5 mm high")
     assert told in said
-    said = report(replace(RIG, parts=replace(RIG.parts, height_m=0.004)), "a.yaml", [])
+    said = rig_report(replace(RIG, parts=replace(RIG.parts, height_m=0.004)), "a.yaml", [])
     assert "5 mm high" not in said
     shapes = load_rig("shapes")
     known = {name: replace(part, height_m=0.003) for name, part in shapes.types.items()}
     known["nut"] = shapes.types["nut"]
-    assert "unknown) for nut. " in report(replace(shapes, types=known), "a.yaml", [])
+    assert "unknown) for nut. " in rig_report(replace(shapes, types=known), "a.yaml", [])
 
 
 def test_an_unknown_camera_place_is_reported():
-    said = report(NO_LENS, "a.yaml", [])
+    said = rig_report(NO_LENS, "a.yaml", [])
     assert says(said, "position is unknown", "focal_px", "height_m", "too far from")
     high = replace(NO_LENS, camera=replace(NO_LENS.camera, height_m=0.9))
-    assert "the lens is 0.9 m above the point" in report(high, "a.yaml", [])
+    assert "the lens is 0.9 m above the point" in rig_report(high, "a.yaml", [])
 
 
 def test_heights_that_contradict_each_other(spoilt):
@@ -332,9 +332,9 @@ def mixed():
 
 
 def test_a_millimetre_in_units_of_the_drive_is_reported():
-    said = report(load_rig("linear_motors"), "a.yaml", [])
+    said = rig_report(load_rig("linear_motors"), "a.yaml", [])
     assert "motor_2: cia402, node 2: 1 mm along its direction is -1000 counts" in said
-    said = report(load_rig("odrives"), "a.yaml", [])
+    said = rig_report(load_rig("odrives"), "a.yaml", [])
     assert "motor_1: odrive, node 1: 1 mm along its direction is +0.025 turns" in said
 
 

@@ -10,7 +10,7 @@ rclpy = pytest.importorskip("rclpy")
 from rclpy.parameter import Parameter  # noqa: E402
 
 from plate_core.ros import declare, follow, parameter  # noqa: E402
-from plate_core.ros.params import for_others  # noqa: E402
+from plate_core.ros.params import wildcard_parameters  # noqa: E402
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,7 @@ def test_names_by_wildcard_alone_may_be_those_of_others(tmp_path, words, names):
         (tmp_path / name).write_text(text)
     given = [["-p", w] if ":=" in w else ["--params-file", str(tmp_path / w)] for w in words]
     line = [word for pair in given for word in pair]
-    assert for_others(["node", "--ros-args", *line], "parametric") == names
+    assert wildcard_parameters(["node", "--ros-args", *line], "parametric") == names
 
 
 @pytest.mark.parametrize("section", ["/**", "/**/parametric"])

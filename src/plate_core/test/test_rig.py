@@ -9,7 +9,7 @@ import yaml
 
 from plate_core import PlateError, RigError, config_path, load_rig
 from plate_core.rig import CameraTrigger, Lens, default_rig_path, edit_rig
-from plate_core.rig.edit import edited
+from plate_core.rig.edit import edit_text
 
 
 @pytest.fixture(name="data")
@@ -244,7 +244,7 @@ LENS = {"focal_px": "[812.5, 811.0]", "centre_px": "[320.0, 241.5]", "distortion
     ids=["block", "block, one is there and the file has no last newline", "flow"],
 )
 def test_missing_keys_are_added_and_comments_stay(before, after):
-    assert edited(before, {("camera",): LENS}) == after
+    assert edit_text(before, {("camera",): LENS}) == after
 
 
 @pytest.mark.parametrize("block", [False, True])

@@ -183,12 +183,14 @@ class PlateCycle:
                 raise CycleError(
                     f"the two knots at {times[k]:g} s have different states, allowed: equal ones"
                 )
-            tail = cls._ending(times[k:] - times[k], [state[k:] for state in states], at_rest=True)
-            return replace(cls._made(times[:k], [state[:k] for state in states]), tail=tail)
-        return cls._ending(times, states)
+            tail = cls._close_motion(
+                times[k:] - times[k], [state[k:] for state in states], at_rest=True
+            )
+            return replace(cls._build(times[:k], [state[:k] for state in states]), tail=tail)
+        return cls._close_motion(times, states)
 
     @classmethod
-    def _ending(
+    def _close_motion(
         cls, times: np.ndarray, states: list[np.ndarray], at_rest: bool = False
     ) -> PlateCycle:
         """Return a motion whose last state equals exactly its first state or the state at rest. If
@@ -206,10 +208,10 @@ class PlateCycle:
             )
         for state in states:
             state[-1] = state[0] if closes and not at_rest else 0
-        return cls._made(times, states)
+        return cls._build(times, states)
 
     @classmethod
-    def _made(cls, times: np.ndarray, states: list[np.ndarray]) -> PlateCycle:
+    def _build(cls, times: np.ndarray, states: list[np.ndarray]) -> PlateCycle:
         pose, twist, accel = states
         with np.errstate(all="ignore"):
             coefficients = quintic_pieces(times, pose, twist, accel)
@@ -253,7 +255,7 @@ class PlateCycle:
             raise CycleError("pose has values that are not finite")
         times = np.linspace(0, period, len(pose) + 1)
 
-        def close(samples: np.ndarray) -> np.ndarray:
+        def append_first(samples: np.ndarray) -> np.ndarray:
             samples = np.asarray(samples, dtype=float)
             return np.vstack([samples, samples[:1]])
 
@@ -261,7 +263,7 @@ class PlateCycle:
             derivatives = _periodic_derivatives(period, pose)
             twist = derivatives[0] if twist is None else twist
             accel = derivatives[1] if accel is None else accel
-        return cls.from_knots(times, close(pose), close(twist), close(accel))
+        return cls.from_knots(times, append_first(pose), append_first(twist), append_first(accel))
 
     @classmethod
     def rest(cls, period: float) -> PlateCycle:
@@ -282,7 +284,7 @@ class PlateCycle:
         """
         times = [0.0, duration_s, period][: 2 + (period > duration_s)]
         knots = [np.vstack([own, np.zeros((len(times) - 1, 3))]) for own in state]
-        return cls._ending(np.array(times), knots, at_rest=True)
+        return cls._close_motion(np.array(times), knots, at_rest=True)
 
 
 def is_rest(state: np.ndarray) -> bool:
@@ -292,7 +294,7 @@ def is_rest(state: np.ndarray) -> bool:
 
 
 @lru_cache
-def _bezier(pieces: int) -> np.ndarray:
+def _bezier_matrix(pieces: int) -> np.ndarray:
     """Matrix (5 pieces, 6) from the coefficients of a quintic in powers of u in [0, 1] to its
     Bezier control points, piece by piece.
 
@@ -342,7 +344,7 @@ def control_points(
         coefficients = coefficients[:, 1:] * np.arange(1, coefficients.shape[1])[:, None]
     degree, columns = coefficients.shape[1:]
     scaled = coefficients * np.diff(times)[:, None, None] ** np.arange(degree)[:, None]
-    return np.asarray((_bezier(pieces)[:, :degree] @ scaled).reshape(-1, columns))
+    return np.asarray((_bezier_matrix(pieces)[:, :degree] @ scaled).reshape(-1, columns))
 
 
 def quintic_pieces(

@@ -33,7 +33,7 @@ def motor_state(
     q, qd, qdd : (n, 4)
         Travel [m], speed [m/s] and acceleration [m/s2] of each motor.
     """
-    point, direction = _geometry(rig)
+    point, direction = _motor_geometry(rig)
     theta, spin, spin_rate = pose[:, 2], twist[:, 2], accel[:, 2]
     along, across = _projections(point, direction, theta)
     q = pose[:, :2] @ direction.T + along - np.sum(direction * point, axis=1)
@@ -69,7 +69,7 @@ def plate_state(
     CycleError
         If no pose of a rigid plate fits all four motors within `tolerance`.
     """
-    point, direction = _geometry(rig)
+    point, direction = _motor_geometry(rig)
     home = np.sum(direction * point, axis=1)
     pose = np.zeros((len(q), 3))
     # Newton's method. Because theta is small, the result is exact up to rounding after three steps.
@@ -79,7 +79,10 @@ def plate_state(
         error = q - (pose[:, :2] @ direction.T + along - home)
         jacobian = _jacobian(direction, across)
         pose = (
-            pose + np.linalg.solve(_normal(jacobian), _project(jacobian, error)[..., None])[..., 0]
+            pose
+            + np.linalg.solve(_normal_matrix(jacobian), _project(jacobian, error)[..., None])[
+                ..., 0
+            ]
         )
     along, across = _projections(point, direction, pose[:, 2])
     error = q - (pose[:, :2] @ direction.T + along - home)
@@ -91,14 +94,14 @@ def plate_state(
             f"{tolerance * 1e3:g} mm"
         )
     jacobian = _jacobian(direction, across)
-    normal = _normal(jacobian)
+    normal = _normal_matrix(jacobian)
     twist = np.linalg.solve(normal, _project(jacobian, qd)[..., None])[..., 0]
     central = twist[:, 2:] ** 2 * along
     accel = np.linalg.solve(normal, _project(jacobian, qdd + central)[..., None])[..., 0]
     return pose, twist, accel
 
 
-def _geometry(rig: Rig) -> tuple[np.ndarray, np.ndarray]:
+def _motor_geometry(rig: Rig) -> tuple[np.ndarray, np.ndarray]:
     point = np.array([motor.point for motor in rig.motors])
     direction = np.array([motor.direction for motor in rig.motors])
     return point, direction
@@ -122,7 +125,7 @@ def _jacobian(direction: np.ndarray, across: np.ndarray) -> np.ndarray:
     return np.concatenate([translation, across[..., None]], axis=2)
 
 
-def _normal(jacobian: np.ndarray) -> np.ndarray:
+def _normal_matrix(jacobian: np.ndarray) -> np.ndarray:
     return np.einsum("nij,nik->njk", jacobian, jacobian)
 
 

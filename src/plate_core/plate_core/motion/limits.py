@@ -82,12 +82,14 @@ def usage(rig: Rig, cycle: PlateCycle, thermal_load: np.ndarray | float = 1.0) -
     """
     limits, parts = rig.limits, cycle.parts
     steps = np.concatenate([np.diff(part.times) for part in parts])
-    travel = np.concatenate([_travel(rig, part) for part in parts])
+    travel = np.concatenate([_motor_travel(rig, part) for part in parts])
     pushes = np.concatenate([motor_force(rig, part) for part in parts])
-    moves = [travel, _padded(derivative(travel)), pushes]
+    moves = [travel, _pad_to_quintic(derivative(travel)), pushes]
     each = polynomial_peaks(np.concatenate(moves, axis=2), steps)
     stroke, speed, force = (float(np.max(peaks)) for peaks in np.split(each, 3))
-    accel = _corner_peak(rig, np.concatenate([part.coefficients for part in parts]), steps)
+    accel = _max_corner_acceleration(
+        rig, np.concatenate([part.coefficients for part in parts]), steps
+    )
     # The tail of the cycle may be executed or not. Therefore use the larger load of both cases.
     load = np.maximum(*(mean_square(pushes[:k], steps[:k]) for k in (len(cycle.times) - 1, None)))
     load = load / limits.continuous_force**2
@@ -97,7 +99,7 @@ def usage(rig: Rig, cycle: PlateCycle, thermal_load: np.ndarray | float = 1.0) -
     return CycleUsage(stroke, speed, accel, force, load, worst, overall)
 
 
-def _travel(rig: Rig, cycle: PlateCycle) -> np.ndarray:
+def _motor_travel(rig: Rig, cycle: PlateCycle) -> np.ndarray:
     """Polynomial coefficients (k, 6, 4) of the motor travels, in powers of the time since the knot
     [m]."""
     motors = motor_state(rig, cycle.knot_pose, cycle.knot_twist, cycle.knot_accel)
@@ -114,7 +116,7 @@ def motor_force(rig: Rig, cycle: PlateCycle) -> np.ndarray:
     pose = cycle.coefficients
     return np.asarray(
         sum(
-            _padded(derivative(pose, order)) @ load.T
+            _pad_to_quintic(derivative(pose, order)) @ load.T
             for order, load in enumerate(rig.motor_loads)
             if np.any(load)
         )
@@ -133,16 +135,18 @@ def polynomial_peaks(
     count, powers, columns = coefficients.shape
     each = coefficients.transpose(0, 2, 1).reshape(-1, powers, 1)
     steps = np.repeat(steps, columns)
-    bend = _max_abs(derivative(each, 2), steps)[:, 0]
+    bend = _magnitude_bound(derivative(each, 2), steps)[:, 0]
     column = np.tile(np.arange(columns), count)
-    return _peaks(lambda piece, t: np.abs(_at(each[piece], t)), bend, steps, column, enough)
+    return _find_peaks(
+        lambda piece, t: np.abs(_evaluate_polynomials(each[piece], t)), bend, steps, column, enough
+    )
 
 
 def mean_square(coefficients: np.ndarray, steps: np.ndarray) -> np.ndarray:
     """Return the mean square (m,) over all pieces (k, 6, m). The result is exact up to rounding."""
     total = np.zeros(coefficients.shape[2])
     for u, weight in zip(GAUSS_U, GAUSS_WEIGHT, strict=True):
-        value = _at(coefficients, steps * (1 + u) / 2)
+        value = _evaluate_polynomials(coefficients, steps * (1 + u) / 2)
         total += weight / 2 * np.sum(steps[:, None] * value**2, axis=0)
     return np.asarray(total / np.sum(steps))
 
@@ -158,7 +162,7 @@ def corner_accel(rig: Rig, pose: np.ndarray, twist: np.ndarray, accel: np.ndarra
     return np.hypot(ax, ay)
 
 
-def _corner_peak(rig: Rig, pose: np.ndarray, steps: np.ndarray) -> float:
+def _max_corner_acceleration(rig: Rig, pose: np.ndarray, steps: np.ndarray) -> float:
     """Maximum acceleration of the plate's corners [m/s2]. `pose` (k, 6, 3) contains the polynomial
     coefficients of k pieces of the plate's pose. `steps` (k,) contains the lengths of the pieces
     [s].
@@ -170,18 +174,18 @@ def _corner_peak(rig: Rig, pose: np.ndarray, steps: np.ndarray) -> float:
     w^4).
     """
     orders = [derivative(pose, order) for order in range(5)]
-    w, w1, w2, w3 = (_max_abs(order[:, :, 2:], steps)[:, 0] for order in orders[1:])
+    w, w1, w2, w3 = (_magnitude_bound(order[:, :, 2:], steps)[:, 0] for order in orders[1:])
     radius = float(np.hypot(*rig.plate.half))
     turning = w3 + 4 * w * w2 + 3 * w1**2 + 6 * w**2 * w1 + w**4
-    bend = np.hypot(*_max_abs(orders[4][:, :, :2], steps).T) + radius * turning
+    bend = np.hypot(*_magnitude_bound(orders[4][:, :, :2], steps).T) + radius * turning
 
-    def curve(piece: np.ndarray, t: np.ndarray) -> np.ndarray:
-        return corner_accel(rig, *(_at(order[piece], t) for order in orders[:3]))
+    def corner_acceleration(piece: np.ndarray, t: np.ndarray) -> np.ndarray:
+        return corner_accel(rig, *(_evaluate_polynomials(order[piece], t) for order in orders[:3]))
 
-    return float(_peaks(curve, bend, steps, np.zeros(len(steps), int))[0])
+    return float(_find_peaks(corner_acceleration, bend, steps, np.zeros(len(steps), int))[0])
 
 
-def _peaks(
+def _find_peaks(
     curve: Curve, bend: np.ndarray, steps: np.ndarray, group: np.ndarray, enough: float = 0.0
 ) -> np.ndarray:
     """Return the peak of each group of curves. `group` (k,) is the group of each piece.
@@ -212,7 +216,7 @@ def _peaks(
         piece, start, length, spans = piece[hiding], t[hiding, span], length[hiding], CUTS
 
 
-def _at(coefficients: np.ndarray, t: np.ndarray) -> np.ndarray:
+def _evaluate_polynomials(coefficients: np.ndarray, t: np.ndarray) -> np.ndarray:
     """Values (n, m) of polynomials (n, d, m) at the times t (n,) since the start of each
     polynomial."""
     value, t = coefficients[:, -1].copy(), t[:, None]
@@ -230,11 +234,11 @@ def derivative(coefficients: np.ndarray, order: int = 1) -> np.ndarray:
     return coefficients
 
 
-def _padded(coefficients: np.ndarray) -> np.ndarray:
+def _pad_to_quintic(coefficients: np.ndarray) -> np.ndarray:
     return np.pad(coefficients, ((0, 0), (0, 6 - coefficients.shape[1]), (0, 0)))
 
 
-def _max_abs(coefficients: np.ndarray, steps: np.ndarray) -> np.ndarray:
+def _magnitude_bound(coefficients: np.ndarray, steps: np.ndarray) -> np.ndarray:
     """Upper bound (k, m) of the magnitude of each piece over its length."""
     powers = steps[:, None] ** np.arange(coefficients.shape[1])
     return np.asarray(np.einsum("kdm,kd->km", np.abs(coefficients), powers))

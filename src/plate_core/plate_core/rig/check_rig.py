@@ -66,7 +66,7 @@ def main() -> None:
         sys.exit(2)
     found = rig_warnings(rig)
     # Print the report before the drawing is made, because the drawing takes longer.
-    print(report(rig, path.name, found), flush=True)
+    print(rig_report(rig, path.name, found), flush=True)
     drawing = args.drawing or Path(f"{path.stem if args.rig else 'default'}_rig.svg")
     try:
         from .drawing import draw  # `draw` is imported here, because matplotlib may be missing
@@ -83,7 +83,7 @@ def main() -> None:
     sys.exit(1 if any(warning.impossible for warning in found) else 0)
 
 
-def report(rig: Rig, name: str, found: list[RigWarning]) -> str:
+def rig_report(rig: Rig, name: str, found: list[RigWarning]) -> str:
     """Return the whole report as lines for a terminal."""
     plate, parts, limits = rig.plate, rig.parts, rig.limits
     lines = [
@@ -95,14 +95,14 @@ def report(rig: Rig, name: str, found: list[RigWarning]) -> str:
         f"motors: peak force {limits.force:g} N, continuous force {limits.continuous_force:g} N "
         f"(root mean square; the peaks in a task are {PEAK_OVER_RMS:g} times as large), stroke "
         f"{1e3 * limits.stroke_m:g} mm to either side, speed {limits.speed:g} m/s",
-        *_drives(rig),
-        *_view(rig),
+        *_drive_lines(rig),
+        *_camera_lines(rig),
         "",
         "short sinusoidal shaking            travel [mm]  speed [m/s]  accel. [m/s2]  limited by",
     ]
     for axis, description in (("x", "along x"), ("y", "along y"), ("theta", "theta, at a corner")):
         for hz in FREQUENCIES_HZ:
-            one = shake(rig, axis, hz)
+            one = max_sinusoid(rig, axis, hz)
             lines.append(
                 f"  {description:20} {hz:4g} Hz  {1e3 * one.travel:12.3g} {one.speed:12.3g} "
                 f"{one.accel:14.3g}  {one.limit}"
@@ -115,7 +115,7 @@ def report(rig: Rig, name: str, found: list[RigWarning]) -> str:
     return "\n".join(lines)
 
 
-def _drives(rig: Rig) -> Iterator[str]:
+def _drive_lines(rig: Rig) -> Iterator[str]:
     """Yield one line per motor with a drive: the number of its counts or turns for 1 mm along its
     direction."""
     for motor in rig.motors:
@@ -128,7 +128,7 @@ def _drives(rig: Rig) -> Iterator[str]:
             )
 
 
-def _view(rig: Rig) -> Iterator[str]:
+def _camera_lines(rig: Rig) -> Iterator[str]:
     """Yield lines on the camera's position, and on the parallax of parts without a height in the
     rig file."""
     flat = ", ".join(name for name, part in rig.types.items() if part.height_m == 0)
@@ -155,7 +155,7 @@ def _view(rig: Rig) -> Iterator[str]:
         )
 
 
-def shake(rig: Rig, axis: str, hz: float) -> Shake:
+def max_sinusoid(rig: Rig, axis: str, hz: float) -> Shake:
     """Return the largest sinusoidal motion in one coordinate that exceeds no limit except possibly
     the thermal limit.
 

@@ -96,12 +96,18 @@ def check(rig: Rig) -> None:
 def rig_warnings(rig: Rig, *about: str) -> list[RigWarning]:
     """Return all errors, then all warnings. If subjects are given, return only errors and warnings
     about these subjects."""
-    found = [*_motors(rig), *_limits(rig), *_parts(rig), *_fiducials(rig), *_camera(rig)]
+    found = [
+        *_check_motors(rig),
+        *_check_limits(rig),
+        *_check_parts(rig),
+        *_check_fiducials(rig),
+        *_check_camera(rig),
+    ]
     selected = [warning for warning in found if not about or warning.about in about]
     return sorted(selected, key=lambda warning: not warning.impossible)
 
 
-def _motors(rig: Rig) -> Iterator[RigWarning]:
+def _check_motors(rig: Rig) -> Iterator[RigWarning]:
     size = 2 * float(np.max(rig.plate.half))
     for motor in rig.motors:
         away = float(np.hypot(*np.maximum(np.abs(motor.point) - rig.plate.half, 0)))
@@ -114,7 +120,7 @@ def _motors(rig: Rig) -> Iterator[RigWarning]:
                 f"a bracket up to {OUTSIDE * size:.3g} m outside",
                 away > OUTSIDE * size,
             )
-    yield from _drives(rig)
+    yield from _check_drives(rig)
     scale = np.array([1, 1, float(np.hypot(*rig.plate.half))])
     sizes = np.linalg.svd(rig.motor_levers / scale, compute_uv=False)
     if sizes[-1] < 0.05 * sizes[0]:
@@ -127,7 +133,7 @@ def _motors(rig: Rig) -> Iterator[RigWarning]:
         )
 
 
-def _drives(rig: Rig) -> Iterator[RigWarning]:
+def _check_drives(rig: Rig) -> Iterator[RigWarning]:
     drives = {motor.name: motor.drive for motor in rig.motors if motor.drive is not None}
     if not drives:
         return
@@ -201,7 +207,7 @@ def _drives(rig: Rig) -> Iterator[RigWarning]:
         )  # fmt: skip
 
 
-def _limits(rig: Rig) -> Iterator[RigWarning]:
+def _check_limits(rig: Rig) -> Iterator[RigWarning]:
     limits, floor = rig.limits, rig.friction.accel
     if limits.accel <= floor:
         yield RigWarning(
@@ -246,10 +252,10 @@ def _limits(rig: Rig) -> Iterator[RigWarning]:
             f"limits: continuous_force_n is {limits.continuous_force:g}, more than the peak "
             f"force_n of {limits.force:g}; check whether it belongs to other motors",
         )
-    yield from _speeds(rig)
+    yield from _check_speeds(rig)
 
 
-def _speeds(rig: Rig) -> Iterator[RigWarning]:
+def _check_speeds(rig: Rig) -> Iterator[RigWarning]:
     """Check whether the stroke and speed limits fit sinusoidal motions in the frequency range of
     the solvers' cycles."""
     limits, floor = rig.limits, rig.friction.accel
@@ -276,7 +282,7 @@ def _speeds(rig: Rig) -> Iterator[RigWarning]:
         )
 
 
-def _parts(rig: Rig) -> Iterator[RigWarning]:
+def _check_parts(rig: Rig) -> Iterator[RigWarning]:
     radius, half = rig.parts.radius_m, float(np.min(rig.plate.half))
     if radius > PART_FRACTION[1] * half:
         limit = PART_FRACTION[0] * half
@@ -300,7 +306,7 @@ def _parts(rig: Rig) -> Iterator[RigWarning]:
         )
 
 
-def _fiducials(rig: Rig) -> Iterator[RigWarning]:
+def _check_fiducials(rig: Rig) -> Iterator[RigWarning]:
     if rig.fiducials is None:
         return
     outside = np.abs(rig.fiducials.corners) > rig.plate.half + 1e-6
@@ -316,24 +322,24 @@ def _fiducials(rig: Rig) -> Iterator[RigWarning]:
         )
 
 
-def _camera(rig: Rig) -> Iterator[RigWarning]:
+def _check_camera(rig: Rig) -> Iterator[RigWarning]:
     corners = np.array(rig.camera.corners_px)
     if rig.camera.lens is not None and rig.camera.lens.bends:
         corners = rig.camera.lens.straighten(corners)
         if not np.all(np.isfinite(corners)):
             # Some corners are outside the lens's field of view, so the other checks are impossible.
             return
-    wrong = _order(corners) or _shape(rig, corners)
+    wrong = _check_corner_order(corners) or _check_corner_shape(rig, corners)
     if wrong is not None:
         yield wrong
         if wrong.impossible:
             return
-    yield from _image(rig)
-    yield from _size(rig)
-    yield from _heights(rig)
+    yield from _check_image(rig)
+    yield from _check_part_size(rig)
+    yield from _check_heights(rig)
 
 
-def _heights(rig: Rig) -> Iterator[RigWarning]:
+def _check_heights(rig: Rig) -> Iterator[RigWarning]:
     """Check the camera's height against its lens and corners, and the parts' heights against the
     camera's height."""
     place = camera_place(rig)
@@ -358,7 +364,7 @@ def _heights(rig: Rig) -> Iterator[RigWarning]:
             )
 
 
-def _order(corners: np.ndarray) -> RigWarning | None:
+def _check_corner_order(corners: np.ndarray) -> RigWarning | None:
     """Check that the corners (4, 2) [px] form a convex quadrilateral, and that a camera above the
     plate sees them in this order. Return None if so."""
     sides = np.roll(corners, -1, axis=0) - corners
@@ -375,16 +381,16 @@ def _order(corners: np.ndarray) -> RigWarning | None:
     )
 
 
-def _shape(rig: Rig, corners: np.ndarray) -> RigWarning | None:
+def _check_corner_shape(rig: Rig, corners: np.ndarray) -> RigWarning | None:
     """Check that a camera with square pixels can see this plate's corners at the given image
     points. Return None if so."""
-    misfit, tilt = _misfit(rig, corners, rig.plate.corners)
+    misfit, tilt = _corner_misfit(rig, corners, rig.plate.corners)
     if misfit > GOOD_FIT:
         length, width = rig.plate.length_m, rig.plate.width_m
         sides = np.linalg.norm(corners - np.roll(corners, -1, axis=0), axis=1)
         ratio = (sides[0] + sides[2]) / (sides[1] + sides[3])
         turned = np.roll(corners, 1, axis=0)
-        other = _misfit(rig, turned, rig.plate.corners)[0] < min(GOOD_FIT, misfit / 3)
+        other = _corner_misfit(rig, turned, rig.plate.corners)[0] < min(GOOD_FIT, misfit / 3)
         hint = "; they would fit if the last pair came first" if other else ""
         return RigWarning(
             "camera",
@@ -402,7 +408,7 @@ def _shape(rig: Rig, corners: np.ndarray) -> RigWarning | None:
     return None
 
 
-def _misfit(rig: Rig, corners: np.ndarray, plate: np.ndarray) -> tuple[float, float]:
+def _corner_misfit(rig: Rig, corners: np.ndarray, plate: np.ndarray) -> tuple[float, float]:
     """Return the misfit between the image corners (4, 2) [px] and an image of the plate's rectangle
     [-], and the tilt of the camera [rad].
 
@@ -432,7 +438,7 @@ def _misfit(rig: Rig, corners: np.ndarray, plate: np.ndarray) -> tuple[float, fl
     return best
 
 
-def _image(rig: Rig) -> Iterator[RigWarning]:
+def _check_image(rig: Rig) -> Iterator[RigWarning]:
     size = np.array([rig.camera.width_px, rig.camera.height_px])
     corners = np.array(rig.camera.corners_px)
     out = np.any((corners < -0.5) | (corners > size - 0.5), axis=1)
@@ -448,7 +454,7 @@ def _image(rig: Rig) -> Iterator[RigWarning]:
         )
 
 
-def _size(rig: Rig) -> Iterator[RigWarning]:
+def _check_part_size(rig: Rig) -> Iterator[RigWarning]:
     low, high = PART_PX
     radius_px = part_radius_px(rig)
     if radius_px < FINE_PX:

@@ -47,7 +47,7 @@ def edit_rig(path: Path, values: Values, expected: Callable[[Rig], bool]) -> Non
     parse_yaml(content, path, RigError)
     text = content.decode()
     with draft(path, "rig file") as file:
-        file.write(edited(text, values).encode())
+        file.write(edit_text(text, values).encode())
         file.flush()
         try:
             if not expected(load_rig(file.name)):
@@ -56,7 +56,7 @@ def edit_rig(path: Path, values: Values, expected: Callable[[Rig], bool]) -> Non
             raise PlateError(f"{path} was not changed, edit it by hand: {error}") from None
 
 
-def edited(text: str, values: Values) -> str:
+def edit_text(text: str, values: Values) -> str:
     """Return a rig file's text with new values. Missing keys are added at the end of their mapping,
     in the style of this mapping.
 
@@ -70,19 +70,19 @@ def edited(text: str, values: Values) -> str:
     for keys, new in values.items():
         mapping = root
         for key in keys:
-            mapping = _item(mapping, key)
+            mapping = _find_value(mapping, key)
         if not isinstance(mapping, yaml.MappingNode) or not mapping.value:
             raise RigError(f"rig file: {', '.join(keys)} is missing or empty, expected a mapping")
         last_key, last = mapping.value[-1]
         indent = " " * last_key.start_mark.column
         for key, value in new.items():
-            old = _item(mapping, key)
+            old = _find_value(mapping, key)
             if old is not None:
-                edits.append((_start(mapping, key), _end(old), f": {value}"))
+                edits.append((_value_start(mapping, key), _node_end(old), f": {value}"))
             elif mapping.flow_style:
                 edits.append((last.end_mark.index, last.end_mark.index, f", {key}: {value}"))
             else:  # insert the new text after the line of the last item
-                at = text.find("\n", _end(last))
+                at = text.find("\n", _node_end(last))
                 at = len(text) if at < 0 else at
                 edits.append((at, at, f"\n{indent}{key}: {value}"))
     done, parts = 0, []
@@ -92,13 +92,13 @@ def edited(text: str, values: Values) -> str:
     return "".join(parts) + text[done:]
 
 
-def _start(mapping: Any, key: str) -> int:
+def _value_start(mapping: Any, key: str) -> int:
     """Return the position at which the text of a value begins: the end of its key. A block value
     begins on the next line."""
     return int(next(name for name, _ in mapping.value if name.value == key).end_mark.index)
 
 
-def _end(node: Any) -> int:
+def _node_end(node: Any) -> int:
     """Return the position at which the text of a node ends. The text of a block ends with its last
     value, not at the next key."""
     while not isinstance(node, yaml.ScalarNode) and node.value and not node.flow_style:
@@ -107,7 +107,7 @@ def _end(node: Any) -> int:
     return int(node.end_mark.index)
 
 
-def _item(node: Any, key: str) -> Any:
+def _find_value(node: Any, key: str) -> Any:
     """Return the node of a key in a mapping. Return None if the key or the mapping is missing."""
     if not isinstance(node, yaml.MappingNode):
         return None

@@ -184,8 +184,8 @@ def camera_place(rig: Rig) -> np.ndarray | None:
       perspective, h = 0 and the camera is above p. Tilts of more than 45 degrees are treated as 45
       degrees.
     - Neither lens nor height is known. Square pixels and the same principal point are assumed. A
-      least-squares solution of the two equations of `_focal_px` gives the focal length f, and the
-      position follows as in the first case.
+      least-squares solution of the two equations of `_estimate_focal_px` gives the focal length f,
+      and the position follows as in the first case.
 
     Returns
     -------
@@ -197,30 +197,30 @@ def camera_place(rig: Rig) -> np.ndarray | None:
     """
     camera = rig.camera
     if camera.lens is not None:
-        there = _place(homography(rig), camera.lens.matrix)
+        there = _camera_position(homography(rig), camera.lens.matrix)
         return there if np.all(np.isfinite(there)) else None
     corners, plate = np.array(camera.corners_px), rig.plate.corners
     middle = np.array([(camera.width_px - 1) / 2, (camera.height_px - 1) / 2])
     if camera.height_m is not None:
-        return _place_at_height(fit_homography(plate, corners), middle, camera.height_m)
-    place = _place_of_square_pixels(plate, corners, middle)
+        return _position_from_height(fit_homography(plate, corners), middle, camera.height_m)
+    place = _position_from_focal_length(plate, corners, middle)
     if place is None:
         return None
     square = 0.0
     for index in range(corners.size):
         moved = corners.copy()
         moved.flat[index] += CORNER_PX
-        other = _place_of_square_pixels(plate, moved, middle)
+        other = _position_from_focal_length(plate, moved, middle)
         square += np.inf if other is None else float(np.sum((other - place) ** 2))
     return place if np.sqrt(square) <= PLACE_ERROR * place[2] else None
 
 
-def _place(image_from_home: np.ndarray, matrix: np.ndarray) -> np.ndarray:
+def _camera_position(image_from_home: np.ndarray, matrix: np.ndarray) -> np.ndarray:
     rotation, translation = home_pose(image_from_home, matrix)
     return np.asarray(-rotation.T @ translation)
 
 
-def _place_at_height(
+def _position_from_height(
     image_from_home: np.ndarray, middle: np.ndarray, height: float
 ) -> np.ndarray | None:
     """Return the position (3,) of a camera with a known height above the plate [m], the second case
@@ -235,20 +235,20 @@ def _place_at_height(
     return np.append(p - step, height)
 
 
-def _place_of_square_pixels(
+def _position_from_focal_length(
     plate: np.ndarray, corners: np.ndarray, middle: np.ndarray
 ) -> np.ndarray | None:
     """Return the position (3,) of a camera with unknown height and focal length, the third case of
     `camera_place`. None if the homography does not determine the focal length."""
     view = fit_homography(plate, corners)
-    focal = _focal_px(view, middle)
+    focal = _estimate_focal_px(view, middle)
     if focal is None:
         return None
     matrix = np.array([[focal, 0, middle[0]], [0, focal, middle[1]], [0, 0, 1]])
-    return _place(view, matrix)
+    return _camera_position(view, matrix)
 
 
-def _focal_px(image_from_home: np.ndarray, middle: np.ndarray) -> float | None:
+def _estimate_focal_px(image_from_home: np.ndarray, middle: np.ndarray) -> float | None:
     """Return the focal length f [px] of a camera with square pixels from its homography H (3, 3).
     None if the homography has no perspective.
 

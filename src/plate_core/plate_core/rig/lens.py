@@ -164,14 +164,17 @@ class Lens:
     def bend(self, point_px: np.ndarray) -> np.ndarray:
         """Map points (..., 2) [px] of the undistorted image to the distorted image (..., 2)
         [px]."""
-        seen, _ = self._distort(self._rays(point_px))
-        return _tilted(seen, self._tilt)[0] * self.focal_px + self.centre_px
+        seen, _ = self._distort(self._points_to_rays(point_px))
+        return (
+            _project_to_tilted_plane(seen, self._tilt_projection)[0] * self.focal_px
+            + self.centre_px
+        )
 
     def slopes(self, point_px: np.ndarray) -> np.ndarray:
         """Return the derivative (..., 2, 2) of `bend` at points (..., 2) [px] of the undistorted
         image."""
-        seen, slopes = self._distort(self._rays(point_px))
-        _, tilts = _tilted(seen, self._tilt)
+        seen, slopes = self._distort(self._points_to_rays(point_px))
+        _, tilts = _project_to_tilted_plane(seen, self._tilt_projection)
         focal = np.array(self.focal_px)
         return (slopes if tilts is None else tilts @ slopes) * focal[:, None] / focal
 
@@ -182,17 +185,19 @@ class Lens:
         outside the lens's field of view, because no ray has such an image point. If several rays
         have the same image point, the result is the ray between the optical axis and the fold.
         """
-        tilt = self._tilt
-        seen = _tilted(self._rays(point_px), None if tilt is None else np.linalg.inv(tilt))[0]
+        tilt = self._tilt_projection
+        seen = _project_to_tilted_plane(
+            self._points_to_rays(point_px), None if tilt is None else np.linalg.inv(tilt)
+        )[0]
         u, v = seen[..., 0], seen[..., 1]
         with np.errstate(all="ignore"):
             radius = np.hypot(u, v)
-            growth = np.interp(radius, self._table[1], self._table[0]) / radius
+            growth = np.interp(radius, self._radius_table[1], self._radius_table[0]) / radius
             growth = np.where(radius > 0, growth, 1.0)
             x, y = u * growth, v * growth
             for _ in range(MAX_STEPS):
                 r2 = x * x + y * y
-                bent_u, bent_v, a, b, c, d = self._seen(x, y, r2)
+                bent_u, bent_v, a, b, c, d = self._distort_with_derivatives(x, y, r2)
                 off_u, off_v = u - bent_u, v - bent_v
                 volume = a * d - b * c
                 step_x, step_y = (d * off_u - b * off_v) / volume, (a * off_v - c * off_u) / volume
@@ -200,7 +205,7 @@ class Lens:
                 step = np.maximum(np.abs(step_x), np.abs(step_y))
                 if not np.any(step > SETTLED):
                     break
-            shown = (step * step <= CONVERGED**2 * (1 + r2)) & self._upright(volume, a + d, r2)
+            shown = (step * step <= CONVERGED**2 * (1 + r2)) & self._is_upright(volume, a + d, r2)
         straight = np.stack([x, y], axis=-1) * self.focal_px + self.centre_px
         return np.where(shown[..., None], straight, np.nan)
 
@@ -225,13 +230,13 @@ class Lens:
             u, v = (part[..., None] for part in np.meshgrid(along, along))
             near = corner[0] + u * (corner[1] - corner[0])
             far = corner[3] + u * (corner[2] - corner[3])
-            x, y = np.moveaxis(self._rays(near + v * (far - near)), -1, 0)
-            _, _, a, b, c, d = self._seen(x, y, r2 := x * x + y * y)
-            if np.all(self._upright(a * d - b * c, a + d, r2)):
+            x, y = np.moveaxis(self._points_to_rays(near + v * (far - near)), -1, 0)
+            _, _, a, b, c, d = self._distort_with_derivatives(x, y, r2 := x * x + y * y)
+            if np.all(self._is_upright(a * d - b * c, a + d, r2)):
                 return ""
         edge = ""
-        if np.isfinite(self._reach):
-            pixels = self._table[1][-1] * np.array(self.focal_px).min()
+        if np.isfinite(self._max_radius):
+            pixels = self._radius_table[1][-1] * np.array(self.focal_px).min()
             edge = f", {pixels:.0f} px from the optical centre"
         return (
             f"lens: distortion is {[float(f'{value:.6g}') for value in self.distortion]} "
@@ -240,23 +245,23 @@ class Lens:
             "size"
         )
 
-    def _rays(self, point_px: np.ndarray) -> np.ndarray:
+    def _points_to_rays(self, point_px: np.ndarray) -> np.ndarray:
         return (np.asarray(point_px, dtype=float) - self.centre_px) / self.focal_px
 
-    def _upright(self, volume: np.ndarray, trace: np.ndarray, r2: np.ndarray) -> np.ndarray:
+    def _is_upright(self, volume: np.ndarray, trace: np.ndarray, r2: np.ndarray) -> np.ndarray:
         """Whether the image is neither folded nor mirrored at rays (...). `volume` and `trace` are
         the determinant and the trace of the derivative at these rays, and `r2` their squared
         radii."""
-        return (volume > 0) & (trace > 0) & (r2 <= (ROUNDED * self._reach) ** 2)
+        return (volume > 0) & (trace > 0) & (r2 <= (ROUNDED * self._max_radius) ** 2)
 
     @cached_property
-    def _all(self) -> tuple[float, ...]:
+    def _all_coefficients(self) -> tuple[float, ...]:
         return self.distortion + (0.0,) * (VALUES - len(self.distortion))
 
     @cached_property
-    def _tilt(self) -> np.ndarray | None:
+    def _tilt_projection(self) -> np.ndarray | None:
         """The projection (3, 3) onto a tilted image plane. None if the plane is not tilted."""
-        tau_x, tau_y = self._all[12:]
+        tau_x, tau_y = self._all_coefficients[12:]
         if self.model == "equidistant" or (tau_x == 0 and tau_y == 0):
             return None
         (cx, sx), (cy, sy) = ((np.cos(tau), np.sin(tau)) for tau in (tau_x, tau_y))
@@ -275,15 +280,15 @@ class Lens:
         )
 
     @cached_property
-    def _reach(self) -> float:
+    def _max_radius(self) -> float:
         """Radius [focal lengths] of the rays at which the radial distortion folds the image.
         Infinite if the distortion never folds the image. The field of view of an equidistant lens
         can exceed 90 degrees, but the undistorted image cannot. Therefore `STEEPEST_RAD` limits the
         radius."""
         if self.model == "equidistant":
-            powers = (2 * np.arange(5) + 1) * np.array([1, *self._all[:4]])
-            return float(np.tan(min(np.sqrt(_first_root(powers)), STEEPEST_RAD)))
-        k1, k2, _, _, k3, k4, k5, k6 = self._all[:8]
+            powers = (2 * np.arange(5) + 1) * np.array([1, *self._all_coefficients[:4]])
+            return float(np.tan(min(np.sqrt(_smallest_positive_root(powers)), STEEPEST_RAD)))
+        k1, k2, _, _, k3, k4, k5, k6 = self._all_coefficients[:8]
         up, down = (
             np.polynomial.Polynomial([1, k1, k2, k3]),
             np.polynomial.Polynomial([1, k4, k5, k6]),
@@ -291,17 +296,19 @@ class Lens:
         twice = np.polynomial.Polynomial([0, 2])
         # derivative of r up / down with respect to r, times down^2
         growth = up * down + twice * (up.deriv() * down - up * down.deriv())
-        return float(np.sqrt(min(_first_root(growth.coef), _first_root(down.coef))))
+        return float(
+            np.sqrt(min(_smallest_positive_root(growth.coef), _smallest_positive_root(down.coef)))
+        )
 
     @cached_property
-    def _table(self) -> tuple[np.ndarray, np.ndarray]:
+    def _radius_table(self) -> tuple[np.ndarray, np.ndarray]:
         """Table of increasing radii of rays, and of their radii after the radial distortion [focal
         lengths]."""
-        steep = min(np.arctan(self._reach), STEEPEST_RAD)
+        steep = min(np.arctan(self._max_radius), STEEPEST_RAD)
         radius = np.tan(np.linspace(0, (1 - SHORT_OF) * steep, TABLE))
-        return radius, radius * self._radial(radius * radius)[0]
+        return radius, radius * self._radial_factor(radius * radius)[0]
 
-    def _radial(self, r2: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _radial_factor(self, r2: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the radial factor c and its derivative by r2, for squared radii r2 of rays."""
         if self.model == "equidistant":
             k1, k2, k3, k4 = self.distortion
@@ -316,7 +323,7 @@ class Lens:
             steep = (slope / (1 + safe) - bent / r) / (2 * safe)
             first = k1 - 1 / 3  # Taylor series for points near the axis
             return np.where(far, bent / r, 1 + first * r2), np.where(far, steep, first)
-        k1, k2, _, _, k3, k4, k5, k6 = self._all[:8]
+        k1, k2, _, _, k3, k4, k5, k6 = self._all_coefficients[:8]
         radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
         steep = k1 + r2 * (2 * k2 + r2 * 3 * k3)
         if k4 or k5 or k6:
@@ -325,10 +332,12 @@ class Lens:
             steep = (steep - radial * (k4 + r2 * (2 * k5 + r2 * 3 * k6))) / down
         return radial, steep
 
-    def _seen(self, x: np.ndarray, y: np.ndarray, r2: np.ndarray) -> tuple[np.ndarray, ...]:
+    def _distort_with_derivatives(
+        self, x: np.ndarray, y: np.ndarray, r2: np.ndarray
+    ) -> tuple[np.ndarray, ...]:
         """Return distorted rays x', y' (...), before the tilt of the image plane, and their
         derivatives dx'/dx, dx'/dy, dy'/dx, dy'/dy at rays x, y with x^2 + y^2 = r2 (...)."""
-        radial, steep = self._radial(r2)
+        radial, steep = self._radial_factor(r2)
         growth = 2 * steep
         xy = x * y
         u, v = x * radial, y * radial
@@ -336,13 +345,13 @@ class Lens:
         b = c = xy * growth
         if self.model == "equidistant":
             return u, v, a, b, c, d
-        p1, p2 = self._all[2:4]
+        p1, p2 = self._all_coefficients[2:4]
         if p1 or p2:
             twice = 2 * xy
             u, v = u + p1 * twice + p2 * (r2 + 2 * x * x), v + p1 * (r2 + 2 * y * y) + p2 * twice
             b = c = b + 2 * p1 * x + 2 * p2 * y
             a, d = a + 2 * p1 * y + 6 * p2 * x, d + 6 * p1 * y + 2 * p2 * x
-        s1, s2, s3, s4 = self._all[8:12]
+        s1, s2, s3, s4 = self._all_coefficients[8:12]
         if s1 or s2 or s3 or s4:
             u, v = u + r2 * (s1 + r2 * s2), v + r2 * (s3 + r2 * s4)
             across, down = 2 * s1 + 4 * s2 * r2, 2 * s3 + 4 * s4 * r2
@@ -353,7 +362,7 @@ class Lens:
         """Return distorted rays (..., 2), before the tilt of the image plane, and their derivative
         (..., 2, 2) in the rays (..., 2)."""
         x, y = ray[..., 0], ray[..., 1]
-        u, v, *slopes = self._seen(x, y, x * x + y * y)
+        u, v, *slopes = self._distort_with_derivatives(x, y, x * x + y * y)
         return (
             np.stack([u, v], axis=-1),
             np.stack(slopes, axis=-1).reshape(*np.shape(u), 2, 2),
@@ -379,7 +388,7 @@ def lens_of_matrix(matrix: np.ndarray, distortion: Sequence[float], model: str) 
     return Lens((fx, fy), (cx, cy), tuple(np.ravel(distortion).tolist()), model)
 
 
-def _first_root(powers: np.ndarray) -> float:
+def _smallest_positive_root(powers: np.ndarray) -> float:
     """Return the smallest positive root of a polynomial with these coefficients, lowest power
     first. The result is infinite if there is no such root."""
     roots = np.polynomial.Polynomial(powers).trim().roots()
@@ -387,7 +396,9 @@ def _first_root(powers: np.ndarray) -> float:
     return float(np.min(real[real > 0], initial=np.inf))
 
 
-def _tilted(ray: np.ndarray, tilt: np.ndarray | None) -> tuple[np.ndarray, np.ndarray | None]:
+def _project_to_tilted_plane(
+    ray: np.ndarray, tilt: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray | None]:
     """Project rays (..., 2) onto a tilted plane with a matrix (3, 3). Return the points and their
     derivative (..., 2, 2). If the matrix is None, return the rays unchanged, and None as
     derivative."""

@@ -21,7 +21,7 @@ def unmeasured(rig: Rig) -> list[str]:
     corners = np.array(rig.camera.corners_px)
     copied = any(np.array_equal(corners, other.camera.corners_px) for other in shipped)
     lens = rig.camera.lens
-    typical = any(_alike(lens, other.camera.lens) for other in shipped)
+    typical = any(_is_same_lens(lens, other.camera.lens) for other in shipped)
     found = []
     if lens is None or typical:
         found.append(
@@ -41,7 +41,7 @@ def unmeasured(rig: Rig) -> list[str]:
     return found
 
 
-def _alike(one: Lens | None, other: Lens | None) -> bool:
+def _is_same_lens(one: Lens | None, other: Lens | None) -> bool:
     return (
         one is not None
         and other is not None

@@ -32,7 +32,7 @@ class Reach(NamedTuple):
     limit: str
 
 
-def levers(motors: Sequence[Motor]) -> np.ndarray:
+def compute_motor_levers(motors: Sequence[Motor]) -> np.ndarray:
     """Return B^T (4, 3) at home: the derivative of each motor's travel with respect to the pose x,
     y, theta [1, 1, m].
 
@@ -42,7 +42,7 @@ def levers(motors: Sequence[Motor]) -> np.ndarray:
     return np.column_stack([ex, ey, x * ey - y * ex])
 
 
-def loads(
+def compute_motor_loads(
     levers: np.ndarray, stiffness: np.ndarray, damping: np.ndarray, mass: np.ndarray
 ) -> np.ndarray:
     """Return the matrices B^+ K, B^+ C and B^+ M (3, 4, 3) from pose, twist and acceleration of the
@@ -70,10 +70,10 @@ def force_per_accel(load: np.ndarray, half: np.ndarray) -> np.ndarray:
     """
     # angular acceleration, so that the distance r of a corner times `angular` is from 0 to 1 m/s2
     angular = np.linspace(0, 1, ANGULAR_STEPS + 1) / float(np.hypot(*half))
-    return np.array([np.max(_support(np.abs(row), half, angular)) for row in load])
+    return np.array([np.max(_max_force(np.abs(row), half, angular)) for row in load])
 
 
-def _support(row: np.ndarray, half: np.ndarray, angular: np.ndarray) -> np.ndarray:
+def _max_force(row: np.ndarray, half: np.ndarray, angular: np.ndarray) -> np.ndarray:
     """Maximum of row . (ax, ay, turn) for each angular acceleration `angular`.
 
     The acceleration of each corner must not exceed 1 m/s2. The translation (ax, ay) is therefore in
@@ -87,7 +87,9 @@ def _support(row: np.ndarray, half: np.ndarray, angular: np.ndarray) -> np.ndarr
     return np.asarray(np.maximum(shift, 0) + row[2] * angular)
 
 
-def reach(motors: Sequence[Motor], load: np.ndarray, half: np.ndarray, limits: Limits) -> Reach:
+def compute_reach(
+    motors: Sequence[Motor], load: np.ndarray, half: np.ndarray, limits: Limits
+) -> Reach:
     """Return the maximum acceleration that the motors can continuously give any point of the plate.
 
     The result is the minimum of two limits. The peak force determines one limit. The continuous

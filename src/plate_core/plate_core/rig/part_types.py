@@ -220,11 +220,11 @@ def read_part_types(fields: Fields) -> Mapping[str, PartType]:
                 f"after _ contains a letter; at most {MAX_NAME} characters; reserved names: "
                 f"{', '.join(TAKEN)} (classes of parts without a type)"
             )
-        types[name] = _part_type(name, fields.child(name))
+        types[name] = _read_part_type(name, fields.child(name))
     return types
 
 
-def _part_type(name: str, fields: Fields) -> PartType:
+def _read_part_type(name: str, fields: Fields) -> PartType:
     # Shapely is imported here, so that the stop command does not wait for this import.
     from shapely import Polygon
 
@@ -234,8 +234,8 @@ def _part_type(name: str, fields: Fields) -> PartType:
         body = disc_polygon(radius)
     else:
         outline = fields.value(required(PART_TYPE["outline_m"]))
-        body = outline = _ordered(fields, "outline_m", outline)
-    holes = [_ordered(fields, "holes_m", hole) for hole in holes]
+        body = outline = _read_polygon(fields, "outline_m", outline)
+    holes = [_read_polygon(fields, "holes_m", hole) for hole in holes]
     if not Polygon(body, holes).is_valid:
         raise fields.fail("holes_m", "holes that are completely inside the part and do not overlap")
     area, centre, _ = moments(body, holes)
@@ -251,14 +251,14 @@ def _part_type(name: str, fields: Fields) -> PartType:
     colour = fields.value(PART_TYPE["colour_lab"])
     symmetry = fields.value(PART_TYPE["symmetry"])
     if symmetry is None:
-        symmetry = 0 if radius else symmetry_of(outline)
+        symmetry = 0 if radius else symmetry_order(outline)
     if (symmetry == 0) != bool(radius):
         raise fields.fail("symmetry", "0 for a disc, 1 or more for other parts")
     part = PartType(
         name=name,
-        outline=_pairs(outline),
+        outline=_to_polygon(outline),
         radius_m=radius,
-        holes=tuple(_pairs(hole) for hole in holes),
+        holes=tuple(_to_polygon(hole) for hole in holes),
         mass_kg=fields.value(PART_TYPE["mass_kg"]),
         mu=fields.value(PART_TYPE["mu"]),
         colour_lab=None
@@ -273,7 +273,7 @@ def _part_type(name: str, fields: Fields) -> PartType:
     return part
 
 
-def _ordered(fields: Fields, key: str, corner: np.ndarray) -> np.ndarray:
+def _read_polygon(fields: Fields, key: str, corner: np.ndarray) -> np.ndarray:
     """Return the corners (n, 2) of a polygon in counter-clockwise order. Raise an error if the
     corners are not a valid polygon."""
     if not 3 <= len(corner) <= MAX_CORNERS or not is_simple(corner):
@@ -286,7 +286,7 @@ def _ordered(fields: Fields, key: str, corner: np.ndarray) -> np.ndarray:
     return corner if area > 0 else corner[::-1]
 
 
-def _pairs(corner: np.ndarray) -> Polygon:
+def _to_polygon(corner: np.ndarray) -> Polygon:
     return tuple((float(x), float(y)) for x, y in corner)
 
 
@@ -299,7 +299,7 @@ def disc_polygon(radius: float) -> np.ndarray:
     return np.asarray(own * np.stack([np.cos(angle), np.sin(angle)], axis=1))
 
 
-def symmetry_of(outline: np.ndarray) -> int:
+def symmetry_order(outline: np.ndarray) -> int:
     """Return the order of rotational symmetry of a polygon (n, 2) about the origin. The corners
     must coincide after the rotation, within `CENTRED` of the polygon's reach."""
     near = CENTRED * np.max(np.hypot(*outline.T))

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..arrays import read_only
 from .fiducials import Fiducials
-from .motors import Reach, levers, loads, reach
+from .motors import Reach, compute_motor_levers, compute_motor_loads, compute_reach
 from .part_types import PartType
 from .sections import Camera, Friction, Limits, Motor, PartFacts, Plate
 from .suspension import Suspension, mass_matrix
@@ -81,8 +81,8 @@ class Rig:
     @cached_property
     def motor_levers(self) -> np.ndarray:
         """Derivatives B^T (4, 3) of the motors' travel with respect to the pose x, y, theta of the
-        plate at home [1, 1, m]. Read-only. See `motors.levers`."""
-        return read_only(levers(self.motors))
+        plate at home [1, 1, m]. Read-only. See `motors.compute_motor_levers`."""
+        return read_only(compute_motor_levers(self.motors))
 
     @cached_property
     def plate_mass(self) -> np.ndarray:
@@ -99,13 +99,15 @@ class Rig:
         suspension, none = self.suspension, np.zeros((3, 3))
         stiffness = none if suspension is None else np.array(suspension.stiffness)
         damping = none if suspension is None else np.array(suspension.damping)
-        return read_only(loads(self.motor_levers, stiffness, damping, self.plate_mass))
+        return read_only(
+            compute_motor_loads(self.motor_levers, stiffness, damping, self.plate_mass)
+        )
 
     @cached_property
     def motor_reach(self) -> Reach:
         """Maximum acceleration [m/s2] that the motors can continuously give any point of the plate.
-        See `motors.reach`."""
-        return reach(self.motors, self.motor_loads[2], self.plate.half, self.limits)
+        See `motors.compute_reach`."""
+        return compute_reach(self.motors, self.motor_loads[2], self.plate.half, self.limits)
 
     @property
     def reach(self) -> Reach:
@@ -116,8 +118,8 @@ class Rig:
 
     @property
     def gamma(self) -> float:
-        """Shaking ratio a_max/(mu g) [-]. a_max is the acceleration of `reach`. With a higher
-        ratio, the plate moves parts faster and more accurately."""
+        """Shaking ratio a_max/(mu g) [-]. a_max is the acceleration of `reach`. With a
+        higher ratio, the plate moves parts faster and more accurately."""
         return self.reach.accel / self.friction.accel
 
     @property

@@ -104,18 +104,18 @@ def read_rig(path: Path) -> Rig:
         plate=plate,
         friction=fields.child("friction").read(Friction),
         parts=fields.child("parts").read(PartFacts),
-        limits=_limits(fields.child("limits")),
-        motors=_motors(fields.child("motors")),
-        camera=_camera(fields.child("camera")),
-        suspension=_suspension(fields, plate),
+        limits=_read_limits(fields.child("limits")),
+        motors=_read_motors(fields.child("motors")),
+        camera=_read_camera(fields.child("camera")),
+        suspension=_read_suspension(fields, plate),
         fiducials=read_fiducials(fields.child("fiducials")) if fields.has("fiducials") else None,
-        types=_types(fields, path.parent),
+        types=_read_types(fields, path.parent),
     )
     fields.finish()
     return rig
 
 
-def _types(fields: Fields, folder: Path) -> Mapping[str, PartType]:
+def _read_types(fields: Fields, folder: Path) -> Mapping[str, PartType]:
     """Return the part types in a rig file, or in the file that its key `types` names."""
     if not fields.has("types"):
         return {}
@@ -124,20 +124,20 @@ def _types(fields: Fields, folder: Path) -> Mapping[str, PartType]:
     return load_part_types(folder / fields.text("types"))
 
 
-def _limits(fields: Fields) -> Limits:
+def _read_limits(fields: Fields) -> Limits:
     limits = fields.read(Limits)
     if fields.has("force_n") and not fields.has("continuous_force_n"):
         return replace(limits, continuous_force=limits.force / 2)
     return limits
 
 
-def _suspension(fields: Fields, plate: Plate) -> Suspension | None:
+def _read_suspension(fields: Fields, plate: Plate) -> Suspension | None:
     if not fields.has("suspension"):
         return None
     return read_suspension(fields.child("suspension"), plate.mass_kg, plate.inertia_kgm2)
 
 
-def _motors(fields: Fields) -> tuple[Motor, ...]:
+def _read_motors(fields: Fields) -> tuple[Motor, ...]:
     names = fields.keys()
     expected = ("motor_1", "motor_2", "motor_3", "motor_4")
     if names != expected:
@@ -154,12 +154,12 @@ def _motors(fields: Fields) -> tuple[Motor, ...]:
         if length < 1e-6:
             raise child.fail("direction", "a vector that is not zero")
         unit = (direction[0] / length, direction[1] / length)
-        motors.append(Motor(name, (point[0], point[1]), unit, _drive(child)))
+        motors.append(Motor(name, (point[0], point[1]), unit, _read_drive(child)))
         child.finish()
     return tuple(motors)
 
 
-def _drive(fields: Fields) -> Drive | None:
+def _read_drive(fields: Fields) -> Drive | None:
     kind = fields.value(keys.MOTOR["drive"])
     if kind == "bridge":
         for key in ("node", "counts_per_m", "turns_per_m", "sign", "home", "serial"):
@@ -178,7 +178,7 @@ def _drive(fields: Fields) -> Drive | None:
     )
 
 
-def _camera(fields: Fields) -> Camera:
+def _read_camera(fields: Fields) -> Camera:
     width = fields.value(keys.CAMERA["width_px"])
     height = fields.value(keys.CAMERA["height_px"])
     corners = fields.value(keys.CAMERA["corners_px"])
@@ -192,8 +192,8 @@ def _camera(fields: Fields) -> Camera:
         exposure_s=fields.value(keys.CAMERA["exposure_s"]),
         readout_s=fields.value(keys.CAMERA["readout_s"]),
         corners_px=tuple((float(a), float(b)) for a, b in corners),
-        lens=_lens(fields, corners),
-        trigger=_trigger(fields),
+        lens=_read_lens(fields, corners),
+        trigger=_read_trigger(fields),
         colour=fields.value(keys.CAMERA["colour"]),
         height_m=fields.value(keys.CAMERA["height_m"]),
     )
@@ -201,14 +201,14 @@ def _camera(fields: Fields) -> Camera:
     return camera
 
 
-def _trigger(fields: Fields) -> CameraTrigger | None:
+def _read_trigger(fields: Fields) -> CameraTrigger | None:
     if not any(fields.has(key) for key in ("trigger_phase", "trigger_pulse_s")):
         return None
     phase = fields.value(required(keys.CAMERA["trigger_phase"]))
     return CameraTrigger(phase, fields.value(keys.CAMERA["trigger_pulse_s"]))
 
 
-def _lens(fields: Fields, corners: np.ndarray) -> Lens | None:
+def _read_lens(fields: Fields, corners: np.ndarray) -> Lens | None:
     names = ("focal_px", "centre_px", "distortion", "distortion_model")
     if not any(fields.has(key) for key in names):
         return None

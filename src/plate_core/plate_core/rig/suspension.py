@@ -58,7 +58,7 @@ class Suspension:
     def __post_init__(self) -> None:
         for name in ("mass", "damping", "stiffness"):
             matrix = np.array(getattr(self, name), dtype=float)
-            object.__setattr__(self, name, _checked(name, matrix))
+            object.__setattr__(self, name, _check_matrix(name, matrix))
         for name, size in (("feedforward", 3), ("motor_gain", 4), ("servo", 2)):
             values = np.array(getattr(self, name), dtype=float)
             if values.shape != (size,) or not np.all(np.isfinite(values) & (values >= 0)):
@@ -73,7 +73,7 @@ class Suspension:
             )
 
 
-def _checked(name: str, matrix: np.ndarray) -> Matrix:
+def _check_matrix(name: str, matrix: np.ndarray) -> Matrix:
     if matrix.shape != (3, 3) or not np.all(np.isfinite(matrix)):
         raise RigError(f"suspension: {name} is {matrix.tolist()!r}, allowed: 3 x 3 finite numbers")
     size = float(np.max(np.abs(matrix)))
@@ -124,7 +124,7 @@ def modal_matrices(
     omega = 2 * pi * np.asarray(frequency_hz)
     damping = np.diag(2 * np.asarray(damping_ratio) * omega * diagonal)
     stiffness = np.diag(omega**2 * diagonal)
-    return _checked("damping", damping), _checked("stiffness", stiffness)
+    return _check_matrix("damping", damping), _check_matrix("stiffness", stiffness)
 
 
 def read_suspension(fields: Fields, mass_kg: float, inertia_kgm2: float) -> Suspension:
@@ -146,8 +146,8 @@ def read_suspension(fields: Fields, mass_kg: float, inertia_kgm2: float) -> Susp
     centre = tuple(map(float, fields.value(SUSPENSION["centre_of_mass_m"])))
     mass = mass_matrix(mass_kg, inertia, (centre[0], centre[1]))
     if fields.has("stiffness") or fields.has("damping"):
-        damping = _matrix(fields, "damping")
-        stiffness = _matrix(fields, "stiffness")
+        damping = _read_matrix(fields, "damping")
+        stiffness = _read_matrix(fields, "stiffness")
     else:
         damping, stiffness = modal_matrices(
             mass,
@@ -171,5 +171,5 @@ def read_suspension(fields: Fields, mass_kg: float, inertia_kgm2: float) -> Susp
     )  # fmt: skip
 
 
-def _matrix(fields: Fields, key: str) -> Matrix:
-    return _checked(key, fields.value(required(SUSPENSION[key])))
+def _read_matrix(fields: Fields, key: str) -> Matrix:
+    return _check_matrix(key, fields.value(required(SUSPENSION[key])))

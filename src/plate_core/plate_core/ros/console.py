@@ -2,8 +2,8 @@
 
 ROS writes to stderr while it holds Python's global interpreter lock. A write blocks if the terminal
 is paused with Ctrl-S, a pipe is not read, or a connection hangs. The next log line would then block
-all threads, including the threads that stop the motors. Therefore `never_held` redirects stderr to
-a non-blocking pipe. A thread writes the content of the pipe to the original stderr.
+all threads, including the threads that stop the motors. Therefore `nonblocking_stderr` redirects
+stderr to a non-blocking pipe. A thread writes the content of the pipe to the original stderr.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ STDERR = 2
 
 
 @contextlib.contextmanager
-def never_held() -> Iterator[None]:
+def nonblocking_stderr() -> Iterator[None]:
     """Write stderr through a pipe and a thread. While the pipe is full, further output is
     dropped."""
-    _open_closed()
+    _open_closed_streams()
     if os.isatty(STDERR):  # ROS colours its output only if stderr is a terminal
         os.environ.setdefault(COLOUR, "1")
     kept = os.dup(STDERR)
@@ -35,7 +35,7 @@ def never_held() -> Iterator[None]:
     os.set_blocking(write, False)
     os.dup2(write, STDERR)
     os.close(write)
-    thread = threading.Thread(target=_write_out, args=(read, kept), name="console", daemon=True)
+    thread = threading.Thread(target=_copy_pipe, args=(read, kept), name="console", daemon=True)
     thread.start()
     traced = faulthandler.is_enabled()
     # during a crash, the thread does not run, so write the traceback to the original stderr
@@ -52,7 +52,7 @@ def never_held() -> Iterator[None]:
         thread.join(LAST_S)
 
 
-def _open_closed() -> None:
+def _open_closed_streams() -> None:
     """Open stdin, stdout and stderr if they are closed. If one of these streams stayed closed,
     another file, such as a serial port, could get its file descriptor and receive the log."""
     while (number := os.open(os.devnull, os.O_RDWR)) <= STDERR:
@@ -62,7 +62,7 @@ def _open_closed() -> None:
         sys.stderr = os.fdopen(STDERR, "w", encoding="utf-8", closefd=False)
 
 
-def _write_out(read: int, kept: int) -> None:
+def _copy_pipe(read: int, kept: int) -> None:
     with contextlib.suppress(OSError):  # the program that reads the original stderr may have ended
         while data := os.read(read, CHUNK):
             while data:

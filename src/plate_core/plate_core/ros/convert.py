@@ -136,7 +136,7 @@ def parts_to_msg(
             confidence=sure, covariance=spread, source=source,
         )
         for name, row, sure, spread in zip(
-            parts.ids, _state(parts), confidence, covariance, strict=True
+            parts.ids, _part_states(parts), confidence, covariance, strict=True
         )
     ]  # fmt: skip
     msg.overlooked = [
@@ -163,7 +163,7 @@ def msg_to_parts(msg: PartsMsg) -> Parts:
                 f"parts: type of {part.id[:50]} is {part.type[:50]!r}, allowed: "
                 f"{part_class(part.id)[:50]!r}, because an id is the type, _ and a number"
             )
-    rows = _checked("parts", ids, msg.parts, STATE)
+    rows = _check_parts("parts", ids, msg.parts, STATE)
     x, y, angle, vx, vy, spin = rows.T
     return Parts.make(ids, np.column_stack([x, y]), np.column_stack([vx, vy]), angle, spin)
 
@@ -248,8 +248,8 @@ def msg_to_request(msg: PartForces) -> CycleRequest:
             f"part_forces: period_s is {msg.period_s:g}, allowed: above 0, at most "
             f"{MAX_MAGNITUDE:g}"
         )
-    rows = _checked("part_forces", ids, msg.forces, START)
-    ends = _intervals(ids, msg.forces, INTERVALS)
+    rows = _check_parts("part_forces", ids, msg.forces, START)
+    ends = _to_intervals(ids, msg.forces, INTERVALS)
     has_torque = np.all(np.isfinite(ends[:, 4:]), axis=1)
     low = np.clip(ends[:, 0::2], -MAX_MAGNITUDE, MAX_MAGNITUDE)
     high = np.clip(ends[:, 1::2], -MAX_MAGNITUDE, MAX_MAGNITUDE)
@@ -262,7 +262,7 @@ def msg_to_request(msg: PartForces) -> CycleRequest:
         np.where(has_torque, middle[:, 2], 0.0),
         float(msg.period_s),
         rows[:, [0, 1, 3, 4]] if msg.at_start else None,
-        _targets(ids, msg) if msg.to_targets else None,
+        _to_targets(ids, msg) if msg.to_targets else None,
         np.reshape(msg.plate, (3, 3)) if msg.plate_known else None,
     )
 
@@ -309,7 +309,7 @@ def _check_frame(what: str, header: Header, error: type[PlateError] = PlateError
         raise error(f"{what}: frame is {frame[:50]!r}, allowed: {FRAME}")
 
 
-def _targets(ids: tuple[str, ...], msg: PartForces) -> Targets:
+def _to_targets(ids: tuple[str, ...], msg: PartForces) -> Targets:
     """Return the targets of a message.
 
     Raises
@@ -318,8 +318,8 @@ def _targets(ids: tuple[str, ...], msg: PartForces) -> Targets:
         If a lower bound exceeds its upper bound, or a weight or `gap_m` is outside the range 0 to
         `MAX_MAGNITUDE`.
     """
-    ends = np.clip(_intervals(ids, msg.forces, TARGETS), -MAX_MAGNITUDE, MAX_MAGNITUDE)
-    weight = _checked("part_forces", ids, msg.forces, WEIGHTS)
+    ends = np.clip(_to_intervals(ids, msg.forces, TARGETS), -MAX_MAGNITUDE, MAX_MAGNITUDE)
+    weight = _check_parts("part_forces", ids, msg.forces, WEIGHTS)
     if not 0 <= msg.gap_m <= MAX_MAGNITUDE:
         raise PlateError(f"part_forces: gap_m is {msg.gap_m:g}, allowed: 0 to {MAX_MAGNITUDE:g}")
     if np.any(weight < 0):
@@ -334,7 +334,7 @@ def _targets(ids: tuple[str, ...], msg: PartForces) -> Targets:
     return Targets(ends[:, 0:4:2], ends[:, 1:4:2], weight[:, :2], float(msg.gap_m), angles)
 
 
-def _intervals(
+def _to_intervals(
     ids: tuple[str, ...], forces: Sequence[PartForce], keys: tuple[str, ...]
 ) -> np.ndarray:
     """Return the fields `keys` (M, n) of the parts. These fields are lower and upper bounds of
@@ -352,14 +352,14 @@ def _intervals(
     return ends
 
 
-def _state(parts: Parts) -> list[list[float]]:
+def _part_states(parts: Parts) -> list[list[float]]:
     """Return the values of the fields `STATE` for each part."""
     columns = [parts.position, parts.angle[:, None], parts.velocity, parts.spin[:, None]]
     rows: list[list[float]] = np.hstack(columns).tolist()
     return rows
 
 
-def _checked(
+def _check_parts(
     what: str, ids: tuple[str, ...], items: Sequence[Part | PartForce], keys: tuple[str, ...]
 ) -> np.ndarray:
     """Return the fields `keys` (M, n) of the parts in a message. Raise an error if an id occurs

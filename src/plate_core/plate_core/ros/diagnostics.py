@@ -80,8 +80,8 @@ class Diagnostics:
         reported: Callable[[], None] = lambda: None,
         stamp: Callable[[], Time] | None = None,
     ) -> None:
-        self._node, self._find, self._values = node, find, values
-        self._hardware_id, self._reported, self._stamp = hardware_id, reported, stamp
+        self._node, self._diagnose, self._values = node, find, values
+        self._hardware_id, self._begin_report, self._stamp = hardware_id, reported, stamp
         self._level, self._due = Level.OK, time.monotonic() + DIAGNOSTICS_PERIOD_S
         self._publisher = node.create_publisher(DiagnosticArray, "diagnostics", DATA)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -89,7 +89,7 @@ class Diagnostics:
 
     def publish(self) -> None:
         """Publish immediately, in addition to the periodic reports."""
-        self._send(self._find(time.monotonic()))
+        self._publish(self._diagnose(time.monotonic()))
 
     def destroy(self) -> None:
         """Stop publishing. Nodes call this method before they are configured again."""
@@ -98,18 +98,18 @@ class Diagnostics:
 
     def _poll(self) -> None:
         now = time.monotonic()
-        finding = self._find(now)
+        finding = self._diagnose(now)
         if now < self._due:
             if finding.level.rank > self._level.rank:
-                self._send(finding)
+                self._publish(finding)
             return
         # If a stall of the process delayed this report, the next report follows after at least half
         # a period.
         self._due = max(self._due, now - DIAGNOSTICS_PERIOD_S / 2) + DIAGNOSTICS_PERIOD_S
-        self._send(finding)
-        self._reported()
+        self._publish(finding)
+        self._begin_report()
 
-    def _send(self, finding: Finding) -> None:
+    def _publish(self, finding: Finding) -> None:
         self._level = finding.level
         status = DiagnosticStatus(
             level=bytes([finding.level]),

@@ -112,7 +112,7 @@ def goal_to_scenario(goal: Any) -> Scenario:
 def _write_sort(task: SortTask, goal: Any) -> None:
     goal.goal_fraction, goal.hold_s = float(task.goal_fraction), float(task.hold_s)
     goal.regions = [
-        Region(type=label, polygon=[_point(at) for at in region.corner])
+        Region(type=label, polygon=[_point_to_msg(at) for at in region.corner])
         if isinstance(region, Bin)
         else Region(type=label, side=side_name(region))
         for label, region in task.regions.items()
@@ -120,7 +120,7 @@ def _write_sort(task: SortTask, goal: Any) -> None:
 
 
 def _read_sort(goal: Any) -> dict[str, Any]:
-    _each_once("regions", [region.type for region in goal.regions])
+    _check_unique("regions", [region.type for region in goal.regions])
     regions = {
         region.type: region.side or {"bin_m": [[at.x, at.y] for at in region.polygon]}
         for region in goal.regions
@@ -135,13 +135,13 @@ def _read_sort(goal: Any) -> dict[str, Any]:
 
 def _write_follow(task: FollowTask, goal: Any) -> None:
     goal.max_error_m = float(task.max_error_m)
-    goal.paths = [_path(path) for path in task.paths]
+    goal.paths = [_path_to_msg(path) for path in task.paths]
 
 
-def _path(path: PathTask) -> Path:
+def _path_to_msg(path: PathTask) -> Path:
     return Path(
         type=path.label,
-        waypoints=[_point(at) for at in path.waypoint],
+        waypoints=[_point_to_msg(at) for at in path.waypoint],
         closed=path.closed,
         laps=float(path.laps),
         speed=float(path.speed),
@@ -326,11 +326,11 @@ KINDS: Mapping[str, tuple[type, Callable[[Any, Any], None], Callable[[Any], dict
 that converts a goal to the data of a task."""
 
 
-def _point(at: tuple[float, float]) -> Point:
+def _point_to_msg(at: tuple[float, float]) -> Point:
     return Point(x=float(at[0]), y=float(at[1]))
 
 
-def _each_once(what: str, labels: list[str]) -> None:
+def _check_unique(what: str, labels: list[str]) -> None:
     again = next((label for label in labels if labels.count(label) > 1), None)
     if again is not None:
         raise ScenarioError(f"{what}: {again} occurs twice, allowed: each type once")

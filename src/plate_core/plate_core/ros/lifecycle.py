@@ -28,7 +28,7 @@ from .diagnostics import Diagnostics
 from .frames import add_prefix
 from .params import Spec, declare, follow, parameter, set_parameters
 from .qos import CALLS
-from .rclpy_workarounds import RclpyLifecycleNode, logged
+from .rclpy_workarounds import RclpyLifecycleNode, log_exceptions
 
 UNKNOWN_NAME = "_NODE_NAME_UNKNOWN_"
 """Name that ROS gives to a node if it has discovered only one of its topics so far."""
@@ -90,9 +90,9 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
         self._publisher_monitors: dict[str, PublisherMonitor] = {}
         self._kept: list[tuple[Callable[[Any], Any], Any]] = []
         self.options = self._given = declare(self, kind)
-        self._follow = follow(self, self._given, self._on_options, self._fixed_now)
-        # `_keep_clock` is added last, because rclpy calls the callbacks in reverse order.
-        self.add_on_set_parameters_callback(self._keep_clock)
+        self._follow = follow(self, self._given, self._apply_options, self._refusal)
+        # `_refuse_clock_change` is added last, because rclpy calls the callbacks in reverse order.
+        self.add_on_set_parameters_callback(self._refuse_clock_change)
 
     # Methods that a subclass implements
 
@@ -228,22 +228,22 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
         `hardware_id`. This argument is a text, not a function. Default: the name of the rig.
         """
 
-        def idle() -> Finding:
+        def inactive_finding() -> Finding:
             state = "inactive" if self.configured else "unconfigured"
             if self.failure is not None:
                 return Finding(Level.ERROR, f"{state}: {self.failure}")
             return Finding(Level.WARN, state)
 
-        def now_or_seen() -> Time:
+        def report_stamp() -> Time:
             return stamp() if stamp and self.active else self.get_clock().now().to_msg()
 
         return Diagnostics(
             self,
-            lambda now: find(now) if self.active else idle(),
+            lambda now: find(now) if self.active else inactive_finding(),
             lambda: values() if self.active else {},
             lambda: hardware_id or Path(self.options.rig_file).stem or "default",
             lambda: reported() if self.active else None,
-            now_or_seen,
+            report_stamp,
         )
 
     # Parameters
@@ -253,7 +253,7 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
         method, for example for `ros2 param`."""
         return set_parameters(self, parameter_list, super().set_parameters_atomically)
 
-    def _fixed_now(self, name: str, spec: Spec) -> str:
+    def _refusal(self, name: str, spec: Spec) -> str:
         if spec.live or not self.active:
             return ""
         return (
@@ -261,7 +261,7 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
             "allowed: changes while the node is not active"
         )
 
-    def _keep_clock(self, parameters: list[Parameter]) -> SetParametersResult:
+    def _refuse_clock_change(self, parameters: list[Parameter]) -> SetParametersResult:
         """Refuse a change of the clock while the node is active, because rclpy's callback would
         apply the change immediately."""
         if not self.active or all(item.name != USE_SIM_TIME_NAME for item in parameters):
@@ -272,7 +272,7 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
         )
         return SetParametersResult(successful=False, reason=reason)
 
-    def _on_options(self, given: Options) -> None:
+    def _apply_options(self, given: Options) -> None:
         if not self.configured:
             self.options = self._given = given
             return
@@ -289,7 +289,7 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
 
     # Transitions
 
-    @logged
+    @log_exceptions
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Call `configure`. If this fails, release everything that this method has created."""
         self.failure, self.options = None, self._given
@@ -304,7 +304,7 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
                 self._release()
         return result
 
-    @logged
+    @log_exceptions
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Call `begin`, then start to process and to publish messages."""
         self.failure = None
@@ -318,30 +318,30 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
         self.get_logger().info("ready")
         return result
 
-    @logged
+    @log_exceptions
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Call `rest`, then stop publishing."""
-        self._stop()
+        self._deactivate()
         return super().on_deactivate(state)
 
-    @logged
+    @log_exceptions
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Release everything that `on_configure` has created."""
         self._release()
         return super().on_cleanup(state)
 
-    @logged
+    @log_exceptions
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Call `rest` and release everything."""
-        self._stop()
+        self._deactivate()
         self._release()
         return super().on_shutdown(state)
 
-    @logged
+    @log_exceptions
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Call `rest` if possible, release everything, and return to the state unconfigured."""
         try:
-            self._stop()
+            self._deactivate()
         finally:
             self._release()
         return TransitionCallbackReturn.SUCCESS
@@ -361,14 +361,14 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
         self._closed = True
         try:
             if self.context.ok():
-                # Call `_stop` without a lifecycle transition, because the signal may have arrived
-                # during a transition.
-                self._stop()
+                # Call `_deactivate` without a lifecycle transition, because the signal may have
+                # arrived during a transition.
+                self._deactivate()
         finally:
             self.active = False
             self._release()
 
-    def _stop(self) -> None:
+    def _deactivate(self) -> None:
         if self.active:
             self.active = False
             self.rest()

@@ -27,7 +27,7 @@ from ..network import choose_network, memory_problem, ros_domain
 from .console import never_held
 from .executor import NodeExecutor
 from .lifecycle import SafeLifecycleNode, start_nodes
-from .usage import answered, check_parameter_files
+from .usage import check_parameter_files, print_help
 
 LAST_ROUNDS = 5
 """Number of executor rounds after the nodes are deactivated. In these rounds, the nodes send their
@@ -62,7 +62,7 @@ def run_node(
     """
     try:
         with piped():
-            if answered(make, options, args):
+            if print_help(make, options, args):
                 return
     except PlateError as error:
         print(f"error: {error}", file=sys.stderr, flush=True)
@@ -80,8 +80,8 @@ def run_nodes(makes: Mapping[str, Callable[[], Node]], args: Sequence[str] | Non
     nodes: list[Any] = []
     code = 1  # exit code after an unexpected exception
     try:
-        with never_held():
-            code = _run(makes, nodes, args)
+        with nonblocking_stderr():
+            code = _run_nodes(makes, nodes, args)
     finally:  # all log lines are written at this point
         with ends(code), contextlib.ExitStack() as stack:
             stack.callback(rclpy.try_shutdown)
@@ -91,7 +91,7 @@ def run_nodes(makes: Mapping[str, Callable[[], Node]], args: Sequence[str] | Non
         sys.exit(code)
 
 
-def _run(
+def _run_nodes(
     makes: Mapping[str, Callable[[], Node]], nodes: list[Any], args: Sequence[str] | None
 ) -> int:
     """Run the nodes until they must stop. Return the exit code. The new nodes are appended to
@@ -118,7 +118,7 @@ def _run(
     # end while the code is loaded.
     parent = getattr(sys.modules["__main__"], "PARENT", os.getppid())
     try:
-        _init(args)
+        _init_ros(args)
         # rclpy's EventsExecutor would need half the CPU time. However, under load, a lifecycle
         # transition with this executor can end or crash a node.
         executor = NodeExecutor()
@@ -162,7 +162,7 @@ def _run(
     return code
 
 
-def _init(args: Sequence[str] | None) -> None:
+def _init_ros(args: Sequence[str] | None) -> None:
     """Start ROS. A wrong command line or parameter file is an error of the user, not a defect, so
     it raises a PlateError."""
     for problem in filter(None, (choose_network(os.environ), memory_problem())):

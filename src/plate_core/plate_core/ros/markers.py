@@ -60,27 +60,27 @@ def scene_to_msg(
         Pose of the plate [m, m, rad].
     stamp : Time
     """
-    plate = _marker("plate", 0, Marker.CUBE, PLATE, stamp)
+    plate = _make_marker("plate", 0, Marker.CUBE, PLATE, stamp)
     plate.pose = pose_to_msg(pose, stamp).pose
     plate.pose.position.z = -1.5 * THICK_M
     plate.scale.x, plate.scale.y, plate.scale.z = rig.plate.length_m, rig.plate.width_m, THICK_M
     markers = [plate]
     for i, name in enumerate(parts.ids):
         place, colour = parts.position[i], class_colour(part_class(name))
-        disc = _marker("parts", i, Marker.CYLINDER, part_colour(part_class(name)), stamp)
+        disc = _make_marker("parts", i, Marker.CYLINDER, part_colour(part_class(name)), stamp)
         disc.scale.x = disc.scale.y = 2 * rig.parts.radius_m
         disc.scale.z = THICK_M
-        text = _marker("names", i, Marker.TEXT_VIEW_FACING, colour, stamp)
+        text = _make_marker("names", i, Marker.TEXT_VIEW_FACING, colour, stamp)
         text.text = name
         text.scale.z = 1.5 * rig.parts.radius_m
         text.pose.position.z = 2 * THICK_M
         for marker in (disc, text):
             marker.pose.position.x, marker.pose.position.y = float(place[0]), float(place[1])
-        trail = _marker("trails", i, Marker.LINE_STRIP, colour, stamp)
+        trail = _make_marker("trails", i, Marker.LINE_STRIP, colour, stamp)
         trail.scale.x = LINE_M / 2
-        trail.points = [_point(at) for at in trails.get(name, ())]
+        trail.points = [_to_point(at) for at in trails.get(name, ())]
         ahead = place + AHEAD_S * parts.velocity[i]
-        markers += [disc, text, _arrow("velocities", i, place, ahead, VELOCITY, stamp)]
+        markers += [disc, text, _make_arrow("velocities", i, place, ahead, VELOCITY, stamp)]
         markers += [trail] if len(trail.points) > 1 else []
     return MarkerArray(markers=markers)
 
@@ -92,7 +92,7 @@ def forces_to_msg(rig: Rig, request: CycleRequest, stamp: Time) -> MarkerArray:
     ends = starts + FORCE_M / rig.force_unit * request.forces.force
     pairs = enumerate(zip(starts, ends, strict=True))
     return MarkerArray(
-        markers=[_arrow("forces", i, place, end, FORCE, stamp) for i, (place, end) in pairs]
+        markers=[_make_arrow("forces", i, place, end, FORCE, stamp) for i, (place, end) in pairs]
     )
 
 
@@ -108,29 +108,29 @@ def centres_to_msg(rig: Rig, cycle: PlateCycle, stamp: Time) -> MarkerArray:
     with np.errstate(all="ignore"):
         centre = pose[:, :2] + np.stack([-twist[:, 1], twist[:, 0]], axis=1) / twist[:, 2:]
     reach = np.max(np.abs(centre), axis=1) < MAX_HALVES * rig.plate.half.max()
-    points = _marker("centres", 0, Marker.POINTS, FORCE, stamp)
+    points = _make_marker("centres", 0, Marker.POINTS, FORCE, stamp)
     points.scale.x = points.scale.y = LINE_M
     for at, spin in zip(centre[reach], twist[reach, 2], strict=True):
-        points.points.append(_point(at))
-        points.colors.append(_rgba(TURNING[0 if spin > 0 else 1]))
+        points.points.append(_to_point(at))
+        points.colors.append(_to_rgba(TURNING[0 if spin > 0 else 1]))
     return MarkerArray(markers=[points])
 
 
-def _marker(kind: str, number: int, shape: int, colour: Colour, stamp: Time) -> Marker:
+def _make_marker(kind: str, number: int, shape: int, colour: Colour, stamp: Time) -> Marker:
     marker = Marker(header=Header(stamp=stamp, frame_id=FRAME), ns=kind, id=number, type=shape)
     marker.action = Marker.ADD
-    marker.color = _rgba(colour)
+    marker.color = _to_rgba(colour)
     marker.lifetime = Duration(sec=int(LIFETIME_S))
     marker.pose.orientation.w = 1.0
     return marker
 
 
-def _rgba(colour: Colour) -> ColorRGBA:
+def _to_rgba(colour: Colour) -> ColorRGBA:
     red, green, blue = (level / 255 for level in colour)
     return ColorRGBA(r=red, g=green, b=blue, a=1.0)
 
 
-def _arrow(
+def _make_arrow(
     kind: str,
     number: int,
     start: np.ndarray,
@@ -138,11 +138,11 @@ def _arrow(
     colour: Colour,
     stamp: Time,
 ) -> Marker:
-    arrow = _marker(kind, number, Marker.ARROW, colour, stamp)
+    arrow = _make_marker(kind, number, Marker.ARROW, colour, stamp)
     arrow.scale.x, arrow.scale.y = LINE_M, 2 * LINE_M  # diameters of the arrow's shaft and head
-    arrow.points = [_point(start), _point(end)]
+    arrow.points = [_to_point(start), _to_point(end)]
     return arrow
 
 
-def _point(at: Sequence[float] | np.ndarray) -> Point:
+def _to_point(at: Sequence[float] | np.ndarray) -> Point:
     return Point(x=float(at[0]), y=float(at[1]), z=THICK_M)

@@ -105,11 +105,11 @@ def declare(node: Node, kind: type[Options]) -> Options:
         spec: Spec = item.metadata["spec"]
         assert item.default is not MISSING
         value = given[item.name].value if item.name in given else item.default
-        values[item.name] = value = _checked(item.name, value, item.default, spec)
-        descriptor = _descriptor(item.default, spec, isinstance(node, LifecycleNode))
+        values[item.name] = value = _check_value(item.name, value, item.default, spec)
+        descriptor = _make_descriptor(item.default, spec, isinstance(node, LifecycleNode))
         node.declare_parameter(item.name, value, descriptor, ignore_override=True)
     _refuse_unknown(node, tuple(values), getattr(kind, "MOVED", {}))
-    node.add_pre_set_parameters_callback(lambda new: [_widened(node, item) for item in new])
+    node.add_pre_set_parameters_callback(lambda new: [_widen_to_float(node, item) for item in new])
     return kind(**values)
 
 
@@ -126,12 +126,12 @@ def _refuse_unknown(node: Node, known: Sequence[str], moved: Mapping[str, str]) 
         for name in node._parameter_overrides
         if not node.has_parameter(name) and not name.startswith(OF_RCLPY)
     ]
-    others = for_others(sys.argv, node.get_name()) if names else set()
+    others = wildcard_parameters(sys.argv, node.get_name()) if names else set()
     for name in names:
         if name not in others and name in moved:
             raise PlateError(f"parameter {name} of {node.get_name()} was removed: {moved[name]}")
         if name not in others:
-            raise PlateError(_unknown(node, name, known))
+            raise PlateError(_unknown_text(node, name, known))
     if names:
         node.get_logger().warning(
             f"{node.get_name()} ignores parameters that are set for all nodes but unknown to it: "
@@ -139,14 +139,14 @@ def _refuse_unknown(node: Node, known: Sequence[str], moved: Mapping[str, str]) 
         )
 
 
-def _unknown(node: Node, name: str, known: Sequence[str]) -> str:
+def _unknown_text(node: Node, name: str, known: Sequence[str]) -> str:
     return (
         f"parameter {name} is unknown to {node.get_name()}{did_you_mean(name, known)}, "
         f"allowed: {', '.join(known)}"
     )
 
 
-def for_others(arguments: Sequence[str], node: str) -> set[str]:
+def wildcard_parameters(arguments: Sequence[str], node: str) -> set[str]:
     """Return the parameters that are given only in wildcard sections, such as `/**`.
 
     Parameters
@@ -166,7 +166,7 @@ def for_others(arguments: Sequence[str], node: str) -> set[str]:
             # Read all scalars as text, because rcl accepts values that PyYAML refuses, such as an
             # impossible date.
             read = yaml.BaseLoader(Path(value).read_text(encoding="utf-8")).get_single_data()
-            for section, name in _given(read, ""):
+            for section, name in _list_parameters(read, ""):
                 last = section.rpartition("/")[2]
                 if last == node:
                     by_name.add(name)
@@ -175,22 +175,22 @@ def for_others(arguments: Sequence[str], node: str) -> set[str]:
     return by_wildcard - by_name
 
 
-def _given(read: Any, section: str) -> Iterator[tuple[str, str]]:
+def _list_parameters(read: Any, section: str) -> Iterator[tuple[str, str]]:
     """Yield the section and the name of each parameter in a file. Sections and parameter names may
     be nested in the file."""
     for key, value in read.items() if isinstance(read, dict) else ():
         if key == "ros__parameters":
-            yield from ((section, name) for name in _flat(value, ""))
+            yield from ((section, name) for name in _flatten_names(value, ""))
         else:
-            yield from _given(value, f"{section}/{key}")
+            yield from _list_parameters(value, f"{section}/{key}")
 
 
-def _flat(read: Any, name: str) -> Iterator[str]:
+def _flatten_names(read: Any, name: str) -> Iterator[str]:
     if not isinstance(read, dict):
         yield name
         return
     for key, value in read.items():
-        yield from _flat(value, f"{name}.{key}" if name else str(key))
+        yield from _flatten_names(value, f"{name}.{key}" if name else str(key))
 
 
 def set_parameters(
@@ -209,9 +209,9 @@ def set_parameters(
         if not node.has_parameter(item.name):
             known = node.get_parameters_by_prefix("")
             own = [name for name in known if not name.startswith(OF_RCLPY)]
-            reason = _unknown(node, item.name, own)
+            reason = _unknown_text(node, item.name, own)
             return SetParametersResult(successful=False, reason=reason)
-        requested, present = _widened(node, item), node.get_parameter(item.name)
+        requested, present = _widen_to_float(node, item), node.get_parameter(item.name)
         if (requested.type_, requested.value) != (present.type_, present.value):
             new.append(item)
     result = change(list(parameters))
@@ -242,7 +242,7 @@ def follow(
                 continue
             spec: Spec = known.metadata["spec"]
             try:
-                new[item.name] = _checked(item.name, item.value, known.default, spec)
+                new[item.name] = _check_value(item.name, item.value, known.default, spec)
                 why = problem(item.name, spec)
             except PlateError as error:
                 why = str(error)
@@ -261,7 +261,7 @@ def follow(
     return on_set
 
 
-def _widened(node: Node, item: Parameter) -> Parameter:
+def _widen_to_float(node: Node, item: Parameter) -> Parameter:
     """Convert a whole number to a float if the parameter is declared as a float."""
     whole = item.type_ is Parameter.Type.INTEGER
     if whole and node.get_parameter_or(item.name).type_ is Parameter.Type.DOUBLE:
@@ -269,7 +269,7 @@ def _widened(node: Node, item: Parameter) -> Parameter:
     return item
 
 
-def _checked(name: str, value: Any, default: Any, spec: Spec) -> Any:
+def _check_value(name: str, value: Any, default: Any, spec: Spec) -> Any:
     if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
         value = float(value)
     if type(value) is not type(default):
@@ -282,7 +282,7 @@ def _checked(name: str, value: Any, default: Any, spec: Spec) -> Any:
     return value
 
 
-def _descriptor(default: Any, spec: Spec, managed: bool) -> ParameterDescriptor:
+def _make_descriptor(default: Any, spec: Spec, managed: bool) -> ParameterDescriptor:
     changes = spec.live or (managed and not spec.fixed)
     descriptor = ParameterDescriptor(description=spec.description, read_only=not changes)
     descriptor.additional_constraints = spec.allowed

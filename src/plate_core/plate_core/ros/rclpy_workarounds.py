@@ -73,7 +73,7 @@ def can_execute(entity: Any) -> bool:
 Transition = Callable[[Any, LifecycleState], TransitionCallbackReturn]
 
 
-def logged(transition: Transition) -> Transition:
+def log_exceptions(transition: Transition) -> Transition:
     """Decorate a transition of a `RclpyLifecycleNode`: log its exception and store it as `failure`.
 
     rclpy enters the error state without a message (pull request 1673, open).

@@ -24,7 +24,7 @@ WIDTH = 100
 """Width of the text [characters]."""
 
 
-def answered(node: Any, options: type | None, args: Sequence[str] | None) -> bool:
+def print_help(node: Any, options: type | None, args: Sequence[str] | None) -> bool:
     """Print the help text if the command line contains `-h` or `--help`. Return whether the text
     was printed.
 
@@ -40,7 +40,7 @@ def answered(node: Any, options: type | None, args: Sequence[str] | None) -> boo
     except RuntimeError:  # the arguments are wrong; rclpy.init will report this error
         return False
     if {"-h", "--help"} & set(arguments):
-        print(usage(command(sys.argv[0]), node, options))
+        print(usage(start_command(sys.argv[0]), node, options))
         return True
     if arguments and options is not None:
         raise PlateError(
@@ -56,7 +56,7 @@ def check_parameter_files(args: Sequence[str] | None) -> None:
             check_file(file, YAML_BYTES)
 
 
-def command(path: str) -> str:
+def start_command(path: str) -> str:
     """Return the command that starts a program: `ros2 run ...` for an installed program, otherwise
     `python ...`."""
     program = Path(path)

@@ -105,7 +105,7 @@ class Trouble(IntEnum):
     ASTRAY = 20  # the following error is too large; code: the error [um]
 
 
-def _wire(code: str, count: int = 1, kind: Any = None) -> dict[str, Any]:
+def _wire_format(code: str, count: int = 1, kind: Any = None) -> dict[str, Any]:
     """Return the metadata of a field that has `count` values. `code` is the format character of
     `struct`. `kind` is an enum or a tuple of the allowed values. None allows all values."""
     return {"code": code, "count": count, "kind": kind}
@@ -116,18 +116,18 @@ class Knot:
     """Knot of a table: its time [TICK_S], and the travel [m], speed [m/s] and acceleration [m/s2]
     of the four motors."""
 
-    ticks: int = field(metadata=_wire("I"))
-    position: tuple[float, ...] = field(metadata=_wire("f", MOTORS))
-    velocity: tuple[float, ...] = field(metadata=_wire("f", MOTORS))
-    acceleration: tuple[float, ...] = field(metadata=_wire("f", MOTORS))
+    ticks: int = field(metadata=_wire_format("I"))
+    position: tuple[float, ...] = field(metadata=_wire_format("f", MOTORS))
+    velocity: tuple[float, ...] = field(metadata=_wire_format("f", MOTORS))
+    acceleration: tuple[float, ...] = field(metadata=_wire_format("f", MOTORS))
 
 
 @dataclass(frozen=True)
 class Hello:
     """Host: start a session with a new number."""
 
-    version: int = field(metadata=_wire("B"))
-    session: int = field(metadata=_wire("I"))
+    version: int = field(metadata=_wire_format("B"))
+    session: int = field(metadata=_wire_format("I"))
 
 
 @dataclass(frozen=True)
@@ -135,7 +135,7 @@ class Heartbeat:
     """Host: periodic message that shows that the host works, with the host's clock time [ns]. The
     device replies with a Pulse."""
 
-    host_ns: int = field(metadata=_wire("Q"))
+    host_ns: int = field(metadata=_wire_format("Q"))
 
 
 @dataclass(frozen=True)
@@ -146,7 +146,7 @@ class Enable:
     `stop` is the number of the stop in the telemetry. An Enable with another number is refused.
     """
 
-    stop: int = field(metadata=_wire("H"))
+    stop: int = field(metadata=_wire_format("H"))
 
 
 @dataclass(frozen=True)
@@ -154,7 +154,7 @@ class Stop:
     """Host: brake along the path and move the plate home. If `now` is 1, switch the current off
     immediately instead."""
 
-    now: int = field(metadata=_wire("B", kind=(0, 1)))
+    now: int = field(metadata=_wire_format("B", kind=(0, 1)))
 
 
 @dataclass(frozen=True)
@@ -167,8 +167,8 @@ class Trigger:
     """Host: trigger the camera at this phase of each cycle or tail [1/65536 of its period], with
     this pulse length [ms]. A length of 0 disables the trigger."""
 
-    phase: int = field(metadata=_wire("H"))
-    pulse_ms: int = field(metadata=_wire("B", kind=tuple(range(MAX_PULSE_MS + 1))))
+    phase: int = field(metadata=_wire_format("H"))
+    pulse_ms: int = field(metadata=_wire_format("B", kind=tuple(range(MAX_PULSE_MS + 1))))
 
 
 @dataclass(frozen=True)
@@ -177,18 +177,18 @@ class Begin:
     `splice_ticks` [TICK_S], the next table starts. If there is no next table, the tail starts. If
     `splice_ticks` is 0, the table has no tail."""
 
-    table: int = field(metadata=_wire("H"))
-    knots: int = field(metadata=_wire("H"))
-    crc: int = field(metadata=_wire("I"))
-    splice_ticks: int = field(default=0, metadata=_wire("I"))
+    table: int = field(metadata=_wire_format("H"))
+    knots: int = field(metadata=_wire_format("H"))
+    crc: int = field(metadata=_wire_format("I"))
+    splice_ticks: int = field(default=0, metadata=_wire_format("I"))
 
 
 @dataclass(frozen=True)
 class Knots:
     """Host: knots `first`, `first` + 1, ... of a table."""
 
-    table: int = field(metadata=_wire("H"))
-    first: int = field(metadata=_wire("H"))
+    table: int = field(metadata=_wire_format("H"))
+    first: int = field(metadata=_wire_format("H"))
     knots: tuple[Knot, ...]
 
 
@@ -200,36 +200,38 @@ class Commit:
     A table that has a tail or starts in motion is played only once.
     """
 
-    table: int = field(metadata=_wire("H"))
-    repeats: int = field(metadata=_wire("H"))
+    table: int = field(metadata=_wire_format("H"))
+    repeats: int = field(metadata=_wire_format("H"))
 
 
 @dataclass(frozen=True)
 class Capabilities:
     """Device: reply to Hello. The limits are in SI units. `boot` changes after a reset."""
 
-    version: int = field(metadata=_wire("B"))
-    session: int = field(metadata=_wire("I"))
-    boot: int = field(metadata=_wire("I"))
-    motors: int = field(metadata=_wire("B"))
-    max_knots: int = field(metadata=_wire("H"))
-    window: int = field(metadata=_wire("B"))
-    watchdog_ms: int = field(metadata=_wire("H"))
-    stroke_m: float = field(metadata=_wire("f"))
-    speed: float = field(metadata=_wire("f"))
-    accel: float = field(metadata=_wire("f"))
-    force: float = field(metadata=_wire("f"))
-    continuous_force: float = field(metadata=_wire("f"))  # continuous root mean square force
-    following_m: float = field(metadata=_wire("f"))  # maximum following error; 0: not checked
-    hold_ms: int = field(metadata=_wire("H"))  # maximum duration of a table's repetitions
+    version: int = field(metadata=_wire_format("B"))
+    session: int = field(metadata=_wire_format("I"))
+    boot: int = field(metadata=_wire_format("I"))
+    motors: int = field(metadata=_wire_format("B"))
+    max_knots: int = field(metadata=_wire_format("H"))
+    window: int = field(metadata=_wire_format("B"))
+    watchdog_ms: int = field(metadata=_wire_format("H"))
+    stroke_m: float = field(metadata=_wire_format("f"))
+    speed: float = field(metadata=_wire_format("f"))
+    accel: float = field(metadata=_wire_format("f"))
+    force: float = field(metadata=_wire_format("f"))
+    continuous_force: float = field(metadata=_wire_format("f"))  # continuous root mean square force
+    following_m: float = field(
+        metadata=_wire_format("f")
+    )  # maximum following error; 0: not checked
+    hold_ms: int = field(metadata=_wire_format("H"))  # maximum duration of a table's repetitions
 
 
 @dataclass(frozen=True)
 class Acknowledgement:
     """Device: result of the command with this sequence number."""
 
-    sequence: int = field(metadata=_wire("H"))
-    status: Status = field(metadata=_wire("B", kind=Status))
+    sequence: int = field(metadata=_wire_format("H"))
+    status: Status = field(metadata=_wire_format("B", kind=Status))
 
 
 @dataclass(frozen=True)
@@ -237,31 +239,35 @@ class Pulse:
     """Device: reply to a Heartbeat with the host time in it [ns], and the device time at its
     arrival [us]."""
 
-    host_ns: int = field(metadata=_wire("Q"))
-    device_us: int = field(metadata=_wire("Q"))
+    host_ns: int = field(metadata=_wire_format("Q"))
+    device_us: int = field(metadata=_wire_format("Q"))
 
 
 @dataclass(frozen=True)
 class Telemetry:
     """Device: measured travel [m] and acceleration [m/s2] of the motors at the device time [us]."""
 
-    device_us: int = field(metadata=_wire("Q"))
-    state: State = field(metadata=_wire("B", kind=State))
-    faults: Fault = field(metadata=_wire("B", kind=Fault))
+    device_us: int = field(metadata=_wire_format("Q"))
+    state: State = field(metadata=_wire_format("B", kind=State))
+    faults: Fault = field(metadata=_wire_format("B", kind=Fault))
     # number of the present stop; without a present stop, number of the last stop
-    stop: int = field(metadata=_wire("H"))
-    table: int = field(metadata=_wire("H"))  # number of the table that plays; 0: no table
-    ticks: int = field(metadata=_wire("I"))  # time since this play of the table began [TICK_S]
-    waiting: int = field(metadata=_wire("H"))  # number of the table that plays next; 0: no table
-    refused: int = field(metadata=_wire("H"))  # number of damaged frames, modulo 2^16
-    position: tuple[float, ...] = field(metadata=_wire("f", MOTORS))
-    acceleration: tuple[float, ...] = field(metadata=_wire("f", MOTORS))
+    stop: int = field(metadata=_wire_format("H"))
+    table: int = field(metadata=_wire_format("H"))  # number of the table that plays; 0: no table
+    ticks: int = field(
+        metadata=_wire_format("I")
+    )  # time since this play of the table began [TICK_S]
+    waiting: int = field(
+        metadata=_wire_format("H")
+    )  # number of the table that plays next; 0: no table
+    refused: int = field(metadata=_wire_format("H"))  # number of damaged frames, modulo 2^16
+    position: tuple[float, ...] = field(metadata=_wire_format("f", MOTORS))
+    acceleration: tuple[float, ...] = field(metadata=_wire_format("f", MOTORS))
     # maximum mean square force of a motor divided by its limit [-]
-    heat: float = field(metadata=_wire("f"))
+    heat: float = field(metadata=_wire_format("f"))
     # Maximum following error of a motor since the last telemetry [m].
-    following_m: float = field(metadata=_wire("f"))
+    following_m: float = field(metadata=_wire_format("f"))
     # Longest computing time of a tick since the last telemetry, relative to the tick period.
-    load: float = field(metadata=_wire("f"))
+    load: float = field(metadata=_wire_format("f"))
 
 
 @dataclass(frozen=True)
@@ -270,10 +276,10 @@ class DriveTrouble:
     drive."""
 
     # number of the motor; 0: the bus
-    motor: int = field(metadata=_wire("B", kind=tuple(range(MOTORS + 1))))
-    kind: Trouble = field(metadata=_wire("B", kind=Trouble))
-    object: int = field(metadata=_wire("H"))
-    code: int = field(metadata=_wire("I"))
+    motor: int = field(metadata=_wire_format("B", kind=tuple(range(MOTORS + 1))))
+    kind: Trouble = field(metadata=_wire_format("B", kind=Trouble))
+    object: int = field(metadata=_wire_format("H"))
+    code: int = field(metadata=_wire_format("I"))
 
     @property
     def text(self) -> str:
@@ -402,7 +408,7 @@ def newer(sequence: int, than: int) -> bool:
 
 def table_crc(knots: Iterable[Knot]) -> int:
     """Return the CRC-32 of a table's knots as they are encoded in the messages."""
-    return zlib.crc32(b"".join(_values(knot) for knot in knots))
+    return zlib.crc32(b"".join(_pack_fields(knot) for knot in knots))
 
 
 def pack(packet: Packet) -> bytes:
@@ -416,9 +422,9 @@ def pack(packet: Packet) -> bytes:
     message = packet.message
     try:
         head = HEADER.pack(CODES[type(message)], packet.sequence)
-        body = _values(message)
+        body = _pack_fields(message)
         if isinstance(message, Knots):
-            body += b"".join(_values(knot) for knot in message.knots)
+            body += b"".join(_pack_fields(knot) for knot in message.knots)
     except (struct.error, OverflowError) as error:
         raise FrameError(f"{packet}: {error}") from None
     return head + body
@@ -439,14 +445,14 @@ def parse(packet: bytes) -> Packet:
         raise FrameError(f"packet type is {code:#04x}, allowed: {', '.join(map(hex, TYPES))}")
     kind, body = TYPES[code], packet[HEADER.size :]
     if kind is not Knots:
-        return Packet(sequence, _read(kind, body))
+        return Packet(sequence, _unpack_fields(kind, body))
     head, knot = LAYOUTS[Knots].size, LAYOUTS[Knot].size
     count, rest = divmod(len(body) - head, knot)
     if rest or not 1 <= count <= KNOTS_PER_MESSAGE:
         raise FrameError(f"Knots has {len(body)} bytes, allowed: {head} + {knot} * n, n = 1 to 4")
     starts = range(head, len(body), knot)
     table, first = LAYOUTS[Knots].unpack_from(body)
-    knots = tuple(_read(Knot, body[at : at + knot]) for at in starts)
+    knots = tuple(_unpack_fields(Knot, body[at : at + knot]) for at in starts)
     return Packet(sequence, Knots(table, first, knots))
 
 
@@ -457,7 +463,7 @@ LAYOUTS = {
 }
 
 
-def _values(item: Any) -> bytes:
+def _pack_fields(item: Any) -> bytes:
     values: list[Any] = []
     for f in FIELDS[type(item)]:
         value = getattr(item, f.name)
@@ -465,7 +471,7 @@ def _values(item: Any) -> bytes:
     return LAYOUTS[type(item)].pack(*values)
 
 
-def _read(kind: Any, body: bytes) -> Any:
+def _unpack_fields(kind: Any, body: bytes) -> Any:
     if len(body) != LAYOUTS[kind].size:
         raise FrameError(f"{kind.__name__} has {len(body)} bytes, allowed: {LAYOUTS[kind].size}")
     raw = LAYOUTS[kind].unpack(body)
@@ -475,11 +481,11 @@ def _read(kind: Any, body: bytes) -> Any:
     for f in FIELDS[kind]:
         count = f.metadata["count"]
         taken, raw = raw[:count], raw[count:]
-        values.append(taken if count > 1 else _allowed(kind, f, taken[0]))
+        values.append(taken if count > 1 else _check_code(kind, f, taken[0]))
     return kind(*values)
 
 
-def _allowed(kind: Any, f: Any, value: Any) -> Any:
+def _check_code(kind: Any, f: Any, value: Any) -> Any:
     allowed = f.metadata["kind"]
     if allowed is None:
         return value

@@ -32,7 +32,7 @@ def circle_points(
     leftwards : bool
         Whether the corners are in counter-clockwise order.
     """
-    count = _chords(radius, 2 * np.pi * radius)
+    count = _chord_count(radius, 2 * np.pi * radius)
     angle = start + (1 if leftwards else -1) * 2 * np.pi * np.arange(count) / count
     return np.array(centre) + radius * np.column_stack([np.cos(angle), np.sin(angle)])
 
@@ -57,12 +57,14 @@ def spline_points(point: np.ndarray, closed: bool) -> np.ndarray:
         # The second derivative is approximately the curvature, because the length of the first
         # derivative is near 1.
         bend = np.max(np.hypot(*spline(trial, 2).T))
-        pieces.append(begin + step * np.linspace(0, 1, _chords(1 / max(bend, 1e-9), step), False))
+        pieces.append(
+            begin + step * np.linspace(0, 1, _chord_count(1 / max(bend, 1e-9), step), False)
+        )
     ends = place[:0] if closed else place[-1:]
     return np.asarray(spline(np.concatenate([*pieces, ends])))
 
 
-def _chords(radius: float, length: float) -> int:
+def _chord_count(radius: float, length: float) -> int:
     """Return the number of chords for an arc with this radius and length [m]. A chord is at most
     sqrt(8 radius `SAGITTA_M`) long."""
     count = length / np.sqrt(8 * radius * SAGITTA_M)

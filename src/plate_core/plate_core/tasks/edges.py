@@ -66,7 +66,7 @@ def edge_problem(label: str, point: Point, rig: Rig) -> str:
     )
 
 
-def nowhere_text(label: str, rig: Rig) -> str:
+def no_place_text(label: str, rig: Rig) -> str:
     """Return the message for a region into which parts of a class cannot be moved. The caller puts
     "NAME has" before the message."""
     min_m = rig.edge_margin(label).min_m

@@ -17,7 +17,7 @@ from ..parts import MAX_PARTS, Parts, part_class
 from ..rig import PartType, Rig
 from ..yaml_fields import Fields
 from . import keys
-from .edges import nowhere_text
+from .edges import no_place_text
 from .tasks import FeedTask, Hopper, PartGroup, Pick
 
 ROUNDING_RAD = 1e-6
@@ -37,12 +37,12 @@ FULL = ((-math.inf, -math.inf), (math.inf, math.inf))
 def read_feed(fields: Fields, parts: Sequence[PartGroup]) -> FeedTask:
     """Read the keys of a feed task. The function raises the same errors as `load_scenario`."""
     labels = tuple(group.label for group in parts)
-    picks = tuple(_pick(child, labels) for child in fields.children("picks"))
+    picks = tuple(_read_pick(child, labels) for child in fields.children("picks"))
     if not picks or len({pick.label for pick in picks}) < len(picks):
         raise fields.fail("picks", "at least one pick, each class at most once")
     hopper = None
     if fields.has("hopper"):
-        hopper = _hopper(fields.child("hopper"), labels, picks)
+        hopper = _read_hopper(fields.child("hopper"), labels, picks)
     ready = sum(pick.ready for pick in picks)
     if hopper is not None and ready > hopper.fill:
         raise fields.fail(
@@ -60,7 +60,7 @@ def read_feed(fields: Fields, parts: Sequence[PartGroup]) -> FeedTask:
     )
 
 
-def _pick(fields: Fields, labels: tuple[str, ...]) -> Pick:
+def _read_pick(fields: Fields, labels: tuple[str, ...]) -> Pick:
     window = fields.value(keys.PICK["window_m"])
     low, high = FULL
     if window is not None:
@@ -83,7 +83,7 @@ def _pick(fields: Fields, labels: tuple[str, ...]) -> Pick:
     return pick
 
 
-def _hopper(fields: Fields, labels: tuple[str, ...], picks: tuple[Pick, ...]) -> Hopper:
+def _read_hopper(fields: Fields, labels: tuple[str, ...], picks: tuple[Pick, ...]) -> Hopper:
     mix = {pick.label: 1 / len(picks) for pick in picks}
     if fields.has("mix"):
         child = fields.child("mix")
@@ -183,7 +183,7 @@ def pick_problem(pick: Pick, rig: Rig) -> str:
         )
     inner = rig.plate.half - rig.edge_margin(pick.label).min_m
     if np.any(low > inner) or np.any(high < -inner):
-        return f"window of {pick.label} has {nowhere_text(pick.label, rig)}"
+        return f"window of {pick.label} has {no_place_text(pick.label, rig)}"
     if not 1 <= pick.ready <= MAX_PARTS:
         return f"ready of {pick.label} is {pick.ready}, allowed: 1 to {MAX_PARTS}"
     if pick.angle is None:

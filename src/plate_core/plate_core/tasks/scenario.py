@@ -23,7 +23,7 @@ from ..rig.polygons import is_simple
 from ..yaml_fields import Fields, config_path, read_yaml, required
 from . import keys
 from .curves import circle_points, spline_points
-from .edges import ROUNDING_M, Place, edge_problem, goal_places, nowhere_text
+from .edges import ROUNDING_M, Place, edge_problem, goal_places, no_place_text
 from .feed import check_feed, read_feed
 from .tasks import (
     AssembleTask,
@@ -110,7 +110,7 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
 def read_scenario(fields: Fields, name: str, folder: Path = Path()) -> Scenario:
     """Return the scenario of a file in `folder`, or of an action's goal. The function raises the
     same errors as `load_scenario`."""
-    parts = tuple(_group(child) for child in fields.children("parts"))
+    parts = tuple(_read_group(child) for child in fields.children("parts"))
     if not parts:
         raise fields.fail("parts", "at least one group of parts")
     labels = [group.label for group in parts]
@@ -131,7 +131,7 @@ def read_scenario(fields: Fields, name: str, folder: Path = Path()) -> Scenario:
         task=task,
         time_limit_s=fields.value(limit if endless else required(limit)) or math.inf,
         marked=fields.value(keys.FILE["marked"]),
-        rig=_rig(fields, folder),
+        rig=_read_rig(fields, folder),
         file=fields.where,
     )
     if not isinstance(scenario.task, FollowTask | FeedTask) and (
@@ -145,7 +145,7 @@ def read_scenario(fields: Fields, name: str, folder: Path = Path()) -> Scenario:
     return scenario
 
 
-def _rig(fields: Fields, folder: Path) -> str:
+def _read_rig(fields: Fields, folder: Path) -> str:
     """Return the rig in the form that `load_rig` accepts. Return "" if no rig is given."""
     text = fields.value(keys.FILE["rig"])
     if text.endswith((".yaml", ".yml")):
@@ -156,7 +156,7 @@ def _rig(fields: Fields, folder: Path) -> str:
     return str(text)
 
 
-def _group(fields: Fields) -> PartGroup:
+def _read_group(fields: Fields) -> PartGroup:
     label = fields.value(keys.GROUP["class"])
     if not NAME.fullmatch(label):
         raise fields.fail("class", "lower-case letters, digits and _, such as black or nut_m4")
@@ -164,7 +164,7 @@ def _group(fields: Fields) -> PartGroup:
         group = PartGroup(label, fields.value(keys.GROUP["count"]))
     else:
         position = fields.value(keys.GROUP["positions_m"])
-        group = PartGroup(label, len(position), _pairs(position))
+        group = PartGroup(label, len(position), _to_pairs(position))
     fields.finish()
     return group
 
@@ -172,23 +172,23 @@ def _group(fields: Fields) -> PartGroup:
 def _task(fields: Fields, parts: tuple[PartGroup, ...]) -> Task:
     kinds: dict[str, Callable[[Fields, tuple[PartGroup, ...]], Task]]
     kinds = {
-        "sort": _sort, "follow": _follow, "assemble": _assemble, "pose": _pose, "move": _move,
-        "feed": read_feed,
+        "sort": _read_sort, "follow": _read_follow, "assemble": _read_assemble,
+        "pose": _read_pose, "move": _read_move, "feed": read_feed,
     }  # fmt: skip
     task = kinds[fields.value(keys.TASK["kind"])](fields, parts)
     fields.finish()
     return task
 
 
-def _pairs(array: np.ndarray) -> tuple[Point, ...]:
+def _to_pairs(array: np.ndarray) -> tuple[Point, ...]:
     """Return the rows of an array (n, 2) as tuples."""
     return tuple((float(x), float(y)) for x, y in array)
 
 
-def _sort(fields: Fields, parts: tuple[PartGroup, ...]) -> SortTask:
+def _read_sort(fields: Fields, parts: tuple[PartGroup, ...]) -> SortTask:
     # Scenario files that sort two classes to two sides of the plate use the key `sides`.
     child = fields.child("sides" if fields.has("sides") else "regions")
-    regions = {group.label: _region(child, group.label) for group in parts}
+    regions = {group.label: _read_region(child, group.label) for group in parts}
     child.finish()
     goal = keys.SORT["goal_fraction"]
     if any(isinstance(region, Side) for region in regions.values()):
@@ -200,7 +200,7 @@ def _sort(fields: Fields, parts: tuple[PartGroup, ...]) -> SortTask:
     )
 
 
-def _region(fields: Fields, label: str) -> Region:
+def _read_region(fields: Fields, label: str) -> Region:
     if not fields.holds_mapping(label):
         return keys.SIDES[fields.text(label, tuple(keys.SIDES))]
     child = fields.child(label)
@@ -211,26 +211,26 @@ def _region(fields: Fields, label: str) -> Region:
             "at least three corners in order around a polygon with an area and no crossing edges",
         )
     child.finish()
-    return Bin(_pairs(corner))
+    return Bin(_to_pairs(corner))
 
 
-def _follow(fields: Fields, parts: tuple[PartGroup, ...]) -> FollowTask:
+def _read_follow(fields: Fields, parts: tuple[PartGroup, ...]) -> FollowTask:
     labels = tuple(group.label for group in parts)
-    paths = tuple(_path(child, labels) for child in fields.children("paths"))
-    _one_each(fields, "paths", [path.label for path in paths], parts)
+    paths = tuple(_read_path(child, labels) for child in fields.children("paths"))
+    _check_goal_counts(fields, "paths", [path.label for path in paths], parts)
     return FollowTask(paths=paths, max_error_m=fields.value(keys.FOLLOW["max_error_m"]))
 
 
-def _path(fields: Fields, labels: tuple[str, ...]) -> PathTask:
+def _read_path(fields: Fields, labels: tuple[str, ...]) -> PathTask:
     curve = fields.one_of(*keys.CURVES)
     if curve == "circle":
-        closed, waypoint = True, _circle(fields.child("circle"))
+        closed, waypoint = True, _read_circle(fields.child("circle"))
     else:
-        closed, waypoint = _points(fields, curve)
-    profile = _profile(fields)
+        closed, waypoint = _read_points(fields, curve)
+    profile = _read_speed_profile(fields)
     path = PathTask(
         label=fields.value(keys.class_key(*labels)),
-        waypoint=_pairs(waypoint),
+        waypoint=_to_pairs(waypoint),
         speed=max(speed for _, speed in profile),
         closed=closed,
         laps=fields.value(required(keys.PATH["laps"])) if closed else 1.0,
@@ -240,7 +240,7 @@ def _path(fields: Fields, labels: tuple[str, ...]) -> PathTask:
     return path
 
 
-def _circle(fields: Fields) -> np.ndarray:
+def _read_circle(fields: Fields) -> np.ndarray:
     x, y = fields.value(keys.CIRCLE["centre_m"])
     points = circle_points(
         (float(x), float(y)),
@@ -252,7 +252,7 @@ def _circle(fields: Fields) -> np.ndarray:
     return points
 
 
-def _points(fields: Fields, key: str) -> tuple[bool, np.ndarray]:
+def _read_points(fields: Fields, key: str) -> tuple[bool, np.ndarray]:
     waypoint = fields.value(keys.PATH[key])
     step = np.hypot(*np.diff(waypoint, axis=0).T)
     if len(waypoint) < 2 or np.min(step) < APART_M:
@@ -267,7 +267,7 @@ def _points(fields: Fields, key: str) -> tuple[bool, np.ndarray]:
     return closed, waypoint
 
 
-def _profile(fields: Fields) -> tuple[tuple[float, float], ...]:
+def _read_speed_profile(fields: Fields) -> tuple[tuple[float, float], ...]:
     """Return the speed profile: pairs of a fraction of a lap and the speed at this fraction [m/s].
     A single pair means a constant speed."""
     if not fields.holds_list("speed_mps"):
@@ -285,19 +285,19 @@ def _profile(fields: Fields) -> tuple[tuple[float, float], ...]:
             "a number, or pairs [fraction of a lap, m/s] with fractions that increase from 0 to "
             f"1, and speeds from {keys.SLOWEST_MPS:g} to {keys.FASTEST_MPS:g}",
         )
-    return _pairs(profile)
+    return _to_pairs(profile)
 
 
-def _assemble(fields: Fields, parts: tuple[PartGroup, ...]) -> AssembleTask:
+def _read_assemble(fields: Fields, parts: tuple[PartGroup, ...]) -> AssembleTask:
     child = fields.child("places_m")
     labels: list[str] = []
     place: list[Point] = []
     for group in parts:
-        points = _pairs(child.array(group.label, (None, 2), -keys.MAX_XY, keys.MAX_XY))
+        points = _to_pairs(child.array(group.label, (None, 2), -keys.MAX_XY, keys.MAX_XY))
         labels += [group.label] * len(points)
         place += points
     child.finish()
-    _one_each(fields, "places_m", labels, parts)
+    _check_goal_counts(fields, "places_m", labels, parts)
     return AssembleTask(
         labels=tuple(labels),
         place=tuple(place),
@@ -306,17 +306,17 @@ def _assemble(fields: Fields, parts: tuple[PartGroup, ...]) -> AssembleTask:
     )
 
 
-def _pose(fields: Fields, parts: tuple[PartGroup, ...]) -> PoseTask:
+def _read_pose(fields: Fields, parts: tuple[PartGroup, ...]) -> PoseTask:
     labels = tuple(group.label for group in parts)
     poses = []
     for child in fields.children("poses"):
         label = child.value(keys.class_key(*labels))
         at = child.value(keys.POSES["place_m"])
-        place = None if at is None else _pairs(at[None])[0]
+        place = None if at is None else _to_pairs(at[None])[0]
         angle = child.value(keys.POSES["angle_deg"])
         poses.append(Pose(label, place, float(np.radians(angle))))
         child.finish()
-    _one_each(fields, "poses", [pose.label for pose in poses], parts)
+    _check_goal_counts(fields, "poses", [pose.label for pose in poses], parts)
     return PoseTask(
         poses=tuple(poses),
         tolerance_m=fields.value(keys.TOLERANCE),
@@ -326,14 +326,14 @@ def _pose(fields: Fields, parts: tuple[PartGroup, ...]) -> PoseTask:
     )
 
 
-def _move(fields: Fields, parts: tuple[PartGroup, ...]) -> MoveTask:
+def _read_move(fields: Fields, parts: tuple[PartGroup, ...]) -> MoveTask:
     labels = [group.label for group in parts]
     targets = []
     for child in fields.children("targets") if fields.has("targets") else ():
         name, angle = child.value(keys.MOVES["id"]), child.value(keys.MOVES["angle_deg"])
         if part_class(name) not in labels or not name.rpartition("_")[2].isdecimal():
             raise child.fail("id", f"a class and a number, such as {labels[0]}_1")
-        (place,) = _pairs(child.value(keys.MOVES["place_m"])[None])
+        (place,) = _to_pairs(child.value(keys.MOVES["place_m"])[None])
         targets.append(PartTarget(name, place, None if angle is None else math.radians(angle)))
         child.finish()
     if len({target.id for target in targets}) < len(targets) or len(targets) > MAX_PARTS:
@@ -347,7 +347,7 @@ def _move(fields: Fields, parts: tuple[PartGroup, ...]) -> MoveTask:
     )
 
 
-def _one_each(
+def _check_goal_counts(
     fields: Fields, key: str, labels: Sequence[str], parts: tuple[PartGroup, ...]
 ) -> None:
     """Raise an error if the number of goals of a class differs from its number of parts."""
@@ -385,7 +385,7 @@ def check_scenario(scenario: Scenario, rig: Rig) -> None:
             f"{scenario.where}: parts: their number is {scenario.count}, allowed: at most "
             f"{MAX_PARTS}"
         )
-    for label, part in ((label, rig.part_type(label)) for label in _turned(task)):
+    for label, part in ((label, rig.part_type(label)) for label in _classes_with_angles(task)):
         if part.symmetry == 0 and label in rig.types:
             raise ScenarioError(
                 f"{scenario.where}: angles of {label} are given, allowed: angles of parts that "
@@ -399,8 +399,8 @@ def check_scenario(scenario: Scenario, rig: Rig) -> None:
             )
     placed = [("parts: positions_m", g.label, p) for g in scenario.parts for p in g.position or ()]
     goals = goal_places(scenario)
-    _check_on_plate(scenario, placed, rig.plate.half, reach)
-    _check_apart(scenario, placed, reach, 1.0)
+    _check_places_on_plate(scenario, placed, rig.plate.half, reach)
+    _check_places_apart(scenario, placed, reach, 1.0)
     if isinstance(task, MoveTask):
         for target in task.targets:
             if problem := target_problem(target, scenario, rig):
@@ -421,10 +421,10 @@ def check_scenario(scenario: Scenario, rig: Rig) -> None:
         ]
         # Corners of bins may be on the plate's edge, so no margin is required for them.
         edge = dict.fromkeys(reach, 0.0)
-        _check_on_plate(scenario, corners, rig.plate.half, edge)
+        _check_places_on_plate(scenario, corners, rig.plate.half, edge)
         _check_bins(scenario, task, rig)
         _check_regions(scenario, task, rig.plate.half)
-    _check_apart(scenario, goals, reach, 1.25 if isinstance(task, AssembleTask) else 1.0)
+    _check_places_apart(scenario, goals, reach, 1.25 if isinstance(task, AssembleTask) else 1.0)
 
 
 def target_problem(target: PartTarget, scenario: Scenario, rig: Rig) -> str:
@@ -446,14 +446,14 @@ def target_problem(target: PartTarget, scenario: Scenario, rig: Rig) -> str:
     return ""
 
 
-def _turned(task: Task) -> list[str]:
+def _classes_with_angles(task: Task) -> list[str]:
     """Return the classes for which a task requests angles."""
     if isinstance(task, FeedTask):
         return [pick.label for pick in task.picks if pick.angle is not None]
     return [pose.label for pose in task.poses] if isinstance(task, PoseTask) else []
 
 
-def _check_on_plate(
+def _check_places_on_plate(
     scenario: Scenario, places: list[Place], half: np.ndarray, reach: Mapping[str, float]
 ) -> None:
     for key, label, (x, y) in places:
@@ -465,7 +465,7 @@ def _check_on_plate(
             )
 
 
-def _check_apart(
+def _check_places_apart(
     scenario: Scenario, places: list[Place], reach: Mapping[str, float], factor: float
 ) -> None:
     for (key, one, a), (_, other, b) in combinations(places, 2):
@@ -491,7 +491,7 @@ def _check_bins(scenario: Scenario, task: SortTask, rig: Rig) -> None:
         limit = rig.plate.half - rig.edge_margin(label).min_m
         if np.any(limit < 0) or not Polygon(region.corner).intersects(box(*-limit, *limit)):
             raise ScenarioError(
-                f"{scenario.where}: task: regions: bin_m of {label} has {nowhere_text(label, rig)}"
+                f"{scenario.where}: task: regions: bin_m of {label} has {no_place_text(label, rig)}"
             )
 
 
