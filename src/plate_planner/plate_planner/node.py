@@ -206,7 +206,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         self.managed_subscription(PartForces, "part_forces", lambda msg: None, DATA)
         self._alarm: Timer | None = None
         if not options.camera_triggered:
-            self._alarm = self.managed_timer(IDLE_S, self._on_due, self.get_clock())
+            self._alarm = self.managed_timer(IDLE_S, self._on_request_due, self.get_clock())
         self.managed_subscription(DriverStatus, "driver_status", self._on_driver, LATCHED)
         self.managed_subscription(DiagnosticArray, "diagnostics", self._on_diagnostics, DATA)
         self.managed_subscription(Targets, "targets", self._on_targets, DATA)
@@ -216,7 +216,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         self.managed_service(Trigger, "stop", self._on_stop)
         self._friction = self.create_client(MeasureFriction, "measure_friction", qos_profile=CALLS)
         self.keep(self.destroy_client, self._friction)
-        self.managed_timer(WATCH_PERIOD_S, self._watch)
+        self.managed_timer(WATCH_PERIOD_S, self._on_watch_timer)
         self._goals = GoalServers(self, self._on_goal, self._on_cancel)
         self.keep(GoalServers.destroy, self._goals)
 
@@ -242,7 +242,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
 
     def rest(self) -> None:
         """End the task."""
-        self._end(Failure(Reason.STOPPED, "the planner was deactivated"))
+        self._end_task(Failure(Reason.STOPPED, "the planner was deactivated"))
 
     def retune(self) -> None:
         """Apply the new value of the parameter `kp`."""
@@ -252,17 +252,17 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
     # Images
 
     def _on_parts(self, msg: Parts) -> None:
-        now = self._wake()
+        now = self._record_activity()
         self._stamp = msg.header.stamp
         stamp_ns = nanoseconds(self._stamp)
         self._monitor.inputs = self._monitor.inputs.parts_received(now, stamp_ns)
         if self.options.camera_triggered:
             self._lockstep.add_image(msg, stamp_ns, now)
-            self._plan_next()
+            self._plan_waiting_image()
         else:
-            self._see(msg)
+            self._track_free_running_image(msg)
 
-    def _plan_next(self) -> None:
+    def _plan_waiting_image(self) -> None:
         """Process the waiting image and publish a request, unless the image must still wait in
         `Lockstep`."""
         following = self._lockstep.next_image()
@@ -270,16 +270,16 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             msg, starts = following
             for start in starts:
                 self._record_start(start)
-            self._plan(msg)
+            self._plan_triggered_image(msg)
 
-    def _plan(self, msg: Parts) -> None:
+    def _plan_triggered_image(self, msg: Parts) -> None:
         """Process an image that was taken at the start of a cycle, and publish the request for the
         next cycle."""
         stamp, run = msg.header.stamp, self._tasks.run
         parts = self._record_image(msg)
         # the image is invalid: request a cycle at rest, so that the control loop continues
         if parts is None:
-            self._request(NOTHING, stamp)
+            self._publish_request(NOTHING, stamp)
             return
         # In lockstep, the same image may arrive twice: before and after a goal. For an image before
         # the goal, the driver accepts only a cycle at rest. Therefore the task begins with the next
@@ -289,13 +289,15 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             or self._lockstep.precedes_goal(nanoseconds(stamp))
         )
         if run is not None and not again:
-            self._answer(run, stamp, lambda run: self._tasks.plan(run, parts, seconds(stamp)))
+            self._publish_task_request(
+                run, stamp, lambda run: self._tasks.plan(run, parts, seconds(stamp))
+            )
             return
         if not again:
             self._tasks.see(parts, seconds(stamp))
-        self._request(NOTHING, stamp)
+        self._publish_request(NOTHING, stamp)
 
-    def _see(self, msg: Parts) -> None:
+    def _track_free_running_image(self, msg: Parts) -> None:
         """Process an image of a free-running camera. The request is published later."""
         parts = self._record_image(msg)
         if parts is None:
@@ -303,9 +305,9 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         self._tasks.see(parts, seconds(msg.header.stamp))
         idle = self._tasks.run is None
         if idle and self._monitor.inputs.starts_problem(time.monotonic()):
-            # Without reports of cycle starts, `_on_due` publishes no request. A request for rest
-            # keeps the control loop running.
-            self._request(NOTHING, msg.header.stamp)
+            # Without reports of cycle starts, `_on_request_due` publishes no request. A request for
+            # rest keeps the control loop running.
+            self._publish_request(NOTHING, msg.header.stamp)
 
     def _record_image(self, msg: Parts) -> CoreParts | None:
         """Record an image, including objects that are not parts. Return its parts, or None if the
@@ -325,10 +327,10 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
     def _on_started(self, msg: JointTrajectory) -> None:
         """Receive the report that the plate has begun a cycle. In lockstep, the report is stored
         until the image of this cycle is processed."""
-        self._wake()
+        self._record_activity()
         if self.options.lockstep and self.options.camera_triggered:
             self._lockstep.add_start(msg, nanoseconds(msg.header.stamp))
-            self._plan_next()
+            self._plan_waiting_image()
         else:
             self._record_start(msg)
 
@@ -348,25 +350,25 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         self._tasks.record_start(cycle, begin, self.options.camera_triggered)
         if self._alarm is not None:
             self._began = msg.header.stamp
-            wait_s = self._schedule.wait_s(self._arrival(begin))
+            wait_s = self._schedule.wait_s(self._arrival_time(begin))
             self._alarm.timer_period_ns = max(1, round(1e9 * wait_s))
             self._alarm.reset()
 
-    def _on_due(self) -> None:
+    def _on_request_due(self) -> None:
         """Publish the pending request for the cycle after the running cycle. Do nothing if no
         request is pending."""
         assert self._alarm is not None
         self._alarm.timer_period_ns = round(1e9 * IDLE_S)
         if not self._schedule.take_due():
             return
-        self._wake()
+        self._record_activity()
         if self._tasks.run is None:
-            self._request(NOTHING, self._began)
+            self._publish_request(NOTHING, self._began)
         else:
-            self._answer(self._tasks.run, self._began, self._tasks.answer)
+            self._publish_task_request(self._tasks.run, self._began, self._tasks.answer)
 
     def _on_cycle(self, msg: JointTrajectory) -> None:
-        self._wake()
+        self._record_activity()
         self._monitor.inputs = self._monitor.inputs.cycle_received()
         try:
             cycle = msg_to_cycle(msg)
@@ -374,11 +376,11 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             self._warn(str(error))
         else:
             requested = seconds(msg.header.stamp)
-            self._tasks.record_cycle(cycle, self._arrival(requested), requested)
+            self._tasks.record_cycle(cycle, self._arrival_time(requested), requested)
         if self._lockstep.cycle_received(nanoseconds(msg.header.stamp)):
-            self._plan_next()
+            self._plan_waiting_image()
 
-    def _arrival(self, stamp: float) -> float:
+    def _arrival_time(self, stamp: float) -> float:
         """Return the arrival time of a message that has just arrived [s, in the time of the image
         stamps].
 
@@ -393,19 +395,21 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
 
     # Requests
 
-    def _answer(self, run: Run, stamp: Time, compute: Callable[[Run], CycleRequest]) -> None:
+    def _publish_task_request(
+        self, run: Run, stamp: Time, compute: Callable[[Run], CycleRequest]
+    ) -> None:
         """Compute and publish the request of the running task for the next cycle. Then report the
         progress of the task."""
         sorted_before = -1 if run.progress is None else run.progress.parts_sorted
         request = compute(run)
-        stalled = self._has_stalled()  # also updates the record of clock steps
+        stalled = self._check_stall()  # also updates the record of clock steps
         # The cycle may have begun without a new image. Therefore check whether the last image is
         # too old.
         age_ns = nanoseconds(stamp) - self._clock_steps.earliest_ns(nanoseconds(self._stamp))
         old = 1e-9 * age_ns > age_limit(self._tasks.estimator.period)
         if stalled or self._monitor.second_publishers() or old:
             request = NOTHING  # request no motion, because the positions may be wrong or outdated
-        self._request(request, stamp, to_time(round(1e9 * run.state.estimator.next_start)))
+        self._publish_request(request, stamp, to_time(round(1e9 * run.state.estimator.next_start)))
         self._reports.publish_feed(run, bool(request.parts.ids), self._stamp)
         if self._markers.get_subscription_count():
             self._markers.publish(forces_to_msg(self._rig, request, stamp))
@@ -416,7 +420,9 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             # progress now.
             self._diagnostics.publish()
 
-    def _request(self, request: CycleRequest, stamp: Time, start: Time | None = None) -> None:
+    def _publish_request(
+        self, request: CycleRequest, stamp: Time, start: Time | None = None
+    ) -> None:
         msg = request_to_msg(request, stamp, start)
         self._lockstep.request_sent(nanoseconds(stamp))
         self._forces.publish(msg)
@@ -425,7 +431,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
     # Supervision
 
     def _on_driver(self, msg: DriverStatus) -> None:
-        now = self._wake()
+        now = self._record_activity()
         try:
             status = msg_to_driver_status(msg)
             self._monitor.inputs = self._monitor.inputs.driver_received(now, status)
@@ -434,33 +440,33 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         self._check_task(now)
 
     def _on_diagnostics(self, msg: DiagnosticArray) -> None:
-        now = self._wake()
+        now = self._record_activity()
         for report in msg_to_reports(msg):
             self._monitor.inputs = self._monitor.inputs.report_received(
                 now, report.node, report.level, report.message
             )
 
-    def _watch(self) -> None:
-        now = self._wake()
+    def _on_watch_timer(self) -> None:
+        now = self._record_activity()
         self._check_task(now)
         run = self._tasks.running
         # the feedback shows clients that the planner runs, even if no images arrive
         if run is not None:
-            self._goals.feed_back(run.goal, run_to_msg(run, self._answered()).progress)
+            self._goals.feed_back(run.goal, run_to_msg(run, self._last_request_stamp()).progress)
         if self._lockstep.image_waits:
             inputs, period = self._monitor.inputs, self._tasks.estimator.period
             overdue = inputs.answer_overdue(now, period)
             self._lockstep.stop_waiting(now, inputs.timeout(period), overdue)
-            self._plan_next()
+            self._plan_waiting_image()
 
-    def _wake(self) -> float:
+    def _record_activity(self) -> float:
         """Record that the planner is running, and return the time [s, steady clock]. If the
         planner's process had stalled before, end the task. Each callback must call this method
         first."""
-        self._has_stalled()
+        self._check_stall()
         return self._monitor.inputs.ran
 
-    def _has_stalled(self) -> bool:
+    def _check_stall(self) -> bool:
         now = time.monotonic()
         if not self._simulated:  # simulated time has no relation to the steady clock
             now, clock_ns = read_together(
@@ -469,7 +475,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             self._clock_steps = self._clock_steps.with_reading(now, clock_ns)
         failure = self._monitor.wake(now, self._tasks.estimator.period)
         if failure is not None:
-            self._end(failure)
+            self._end_task(failure)
         return failure is not None
 
     def _check_task(self, now: float) -> None:
@@ -479,9 +485,9 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             period = self._tasks.estimator.period
             failure = self._monitor.task_problem(now, run.began, run.task, period)
             if failure is not None:
-                self._end(failure)
+                self._end_task(failure)
 
-    def _end(self, why: Failure) -> None:
+    def _end_task(self, why: Failure) -> None:
         """End the running task with the reason `why`. Do nothing if no task runs."""
         if self._tasks.end(why):
             self._report_progress()
@@ -491,7 +497,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
     def _on_goal(self, goal: Any) -> None:
         """Begin the task of an action goal. If the task cannot begin, the goal is accepted and
         aborted at once, because ROS has no field for the reason of a rejection."""
-        failure = self._begin_task(goal, self._wake() if self.active else 0.0)
+        failure = self._begin_task(goal, self._record_activity() if self.active else 0.0)
         if failure is not None:
             self.get_logger().warning(f"goal refused: {failure.text}")
             status = TaskStatus(
@@ -520,13 +526,13 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             return Failure(Reason.BUSY, text)
         if problem := self._monitor.start_problem(now):
             return Failure(Reason.NOT_READY, f"the task {scenario.name} was not started: {problem}")
-        self._end(PREEMPTED)
+        self._end_task(PREEMPTED)
         for warning in planner.warnings():
             self.get_logger().warning(warning)
         self._tasks.begin(planner, goal, now)
         self._lockstep.goal_accepted()
         self._report_progress()
-        self._plan_next()
+        self._plan_waiting_image()
         return None
 
     def _on_cancel(self, goal: Any) -> CancelResponse:
@@ -535,16 +541,16 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         run = self._tasks.run if self.active else None
         if run is None or run.goal is not goal or run.finished:
             return CancelResponse.REJECT
-        self._wake()
-        self._end(CANCELED)
+        self._record_activity()
+        self._end_task(CANCELED)
         return CancelResponse.ACCEPT
 
     def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._wake()
+        self._record_activity()
         before = "" if self._tasks.run is None else self._tasks.run.task.text
         response.message = f"stopped; state before: {before}"
         if self._tasks.running is not None:
-            self._end(STOP)
+            self._end_task(STOP)
         else:  # if no task runs, acknowledge the end of the last task
             self._tasks.forget()
             self._reports.forget_text()
@@ -558,13 +564,13 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         driver = self._monitor.inputs.driver_status
         if driver is not None and driver.state is DriverState.CALIBRATING:
             response.message += "; a friction measurement is canceled, a calibration continues"
-        self._plan_next()
+        self._plan_waiting_image()
         response.success = True
         return response
 
     def _on_targets(self, msg: Targets) -> None:
         """Replace targets of parts in the running move task. Invalid targets are refused."""
-        self._wake()
+        self._record_activity()
         try:
             refused = self._tasks.retarget(msg_to_targets(msg))
         except PlateError as error:
@@ -576,7 +582,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
 
     def _on_order(self, msg: FeedOrder) -> None:
         """Pass an order of the feeder (mode and picks) to the running feed task."""
-        self._monitor.inputs = self._monitor.inputs.order_received(self._wake())
+        self._monitor.inputs = self._monitor.inputs.order_received(self._record_activity())
         try:
             self._tasks.order(msg_to_order(msg))
         except PlateError as error:
@@ -606,9 +612,9 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             self._goals.finish(run.goal, status)
 
     def _publish_status(self, reason: Reason = Reason.NONE) -> TaskStatus:
-        return self._reports.publish_status(self._tasks.run, self._answered(), reason)
+        return self._reports.publish_status(self._tasks.run, self._last_request_stamp(), reason)
 
-    def _answered(self) -> Time:
+    def _last_request_stamp(self) -> Time:
         """Return the stamp of the last published request. If no request was published, return the
         stamp of the last image."""
         request_ns = self._lockstep.request_ns

@@ -350,18 +350,18 @@ class Planner:
         estimator = state.estimator
         there, last = estimator.parts, state.last
         if self.rules.open_ended:  # in an open-ended task, parts may be removed at any time
-            there = self._without_doubles(there, estimator.seen)
+            there = self._remove_duplicates(there, estimator.seen)
         else:
-            there = self._without_doubles(there, estimator.seen, NAMELESS)
-            last = self._last_seen(last, there, estimator.stamp)
+            there = self._remove_duplicates(there, estimator.seen, NAMELESS)
+            last = self._update_last_seen(last, there, estimator.stamp)
         present = without_surplus(self._on_plate(there), self._labels)
         state = replace(state, last=last, due=np.inf)
-        state, assessment = self._advance(state, present)
+        state, assessment = self._advance_task(state, present)
         request = NOTHING
         going_on = state.task.active and not state.task.held(estimator.stamp, self.limits)
         if going_on and assessment.request is not None and len(present):
-            state, request = self._request(state, present, assessment.request)
-        progress = self._progress(state, present, assessment)
+            state, request = self._make_request(state, present, assessment.request)
+        progress = self._make_progress(state, present, assessment)
         return replace(state, answer=(request, progress)), request, progress
 
     @property
@@ -379,7 +379,7 @@ class Planner:
         keep = np.all(np.abs(parts.position) <= self.rig.plate.half, axis=1)
         return parts if np.all(keep) else parts.take(np.flatnonzero(keep))
 
-    def _without_doubles(
+    def _remove_duplicates(
         self, parts: Parts, seen: Parts, classes: tuple[str, ...] | None = None
     ) -> Parts:
         """Remove each undetected part at whose predicted position another part is detected. The two
@@ -398,7 +398,7 @@ class Planner:
         double = np.array(missing) & np.any(away < reach[:, None], axis=1)
         return parts.take(np.flatnonzero(~double)) if np.any(double) else parts
 
-    def _last_seen(
+    def _update_last_seen(
         self, before: Mapping[str, LastSeen], parts: Parts, t: float
     ) -> Mapping[str, LastSeen]:
         """Return the last position and stamp of each part. If a part has left the plate, its first
@@ -410,7 +410,7 @@ class Planner:
         now = {i: LastSeen((x, y), t) for i, (x, y), back in seen if back or i not in off}
         return {**before, **now}
 
-    def _advance(self, state: PlannerState, parts: Parts) -> tuple[PlannerState, Assessment]:
+    def _advance_task(self, state: PlannerState, parts: Parts) -> tuple[PlannerState, Assessment]:
         """Update the state of the task, and evaluate the task by its rules."""
         t, count = state.estimator.stamp, self.scenario.count
         comes_and_goes = self.rules.open_ended
@@ -420,8 +420,8 @@ class Planner:
         own_ids = self._task_ids(parts.ids)
         again = comes_and_goes or self._task_ids(state.known) == own_ids <= seen
         task = begin(state.task, t, missing, again, self.limits, self.others(parts))
-        estimator = self._observe(state, parts, task.active and not state.task.active)
-        now = self._situation(estimator, state, parts, task.active)
+        estimator = self._update_drift_bias(state, parts, task.active and not state.task.active)
+        now = self._make_situation(estimator, state, parts, task.active)
         memory, assessment = self.rules.assess(state.memory, now)
         began = t if task.began is None else task.began
         findings = Findings(
@@ -447,7 +447,7 @@ class Planner:
         which parts are added and removed, because these tasks count unknown objects themselves."""
         return "" if self.rules.open_ended else bystanders_text(parts, self._labels)
 
-    def _observe(self, state: PlannerState, parts: Parts, begins: bool) -> Estimator:
+    def _update_drift_bias(self, state: PlannerState, parts: Parts, begins: bool) -> Estimator:
         """Update the drift bias by the prediction error. Reset the drift bias when a task
         begins."""
         estimator, rules = state.estimator, self.rules
@@ -458,7 +458,7 @@ class Planner:
         predicted = estimator.predict(parts)
         return estimator.observe(parts, predicted, axes, rules.bias_gain, limit)
 
-    def _situation(
+    def _make_situation(
         self, estimator: Estimator, state: PlannerState, parts: Parts, active: bool
     ) -> Situation:
         """Collect the inputs of the task rules."""
@@ -483,7 +483,7 @@ class Planner:
             resting_since=estimator.resting_since,
         )
 
-    def _request(
+    def _make_request(
         self,
         state: PlannerState,
         parts: Parts,
@@ -507,7 +507,9 @@ class Planner:
             parts, force, tolerance, None, period, start, targets, plate
         )
 
-    def _progress(self, state: PlannerState, present: Parts, assessment: Assessment) -> Progress:
+    def _make_progress(
+        self, state: PlannerState, present: Parts, assessment: Assessment
+    ) -> Progress:
         estimator, task = state.estimator, state.task
         doing = ""
         if task.active:

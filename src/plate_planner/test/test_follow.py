@@ -76,11 +76,11 @@ def test_the_heading_is_the_direction_of_motion_and_the_speed_follows_the_profil
     path, step = square(profile=PROFILE), 1e-4
     t = np.linspace(0.5, path.duration - 0.5, 41)
     velocity = (path.position(t + step) - path.position(t - step)) / (2 * step)
-    clear = np.min(np.abs(path._along(t)[:, None] - path.arc), axis=1) > 1e-4
+    clear = np.min(np.abs(path._arc_length_at(t)[:, None] - path.arc), axis=1) > 1e-4
     assert np.sum(clear) > 30
     speed = np.hypot(*velocity.T)
     assert path.heading(t)[clear] == pytest.approx((velocity / speed[:, None])[clear], abs=1e-6)
-    expected = np.interp(path._along(t) / path.length, *np.array(PROFILE).T)
+    expected = np.interp(path._arc_length_at(t) / path.length, *np.array(PROFILE).T)
     assert speed[clear] == pytest.approx(expected[clear], abs=1e-7)
 
 

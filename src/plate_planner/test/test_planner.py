@@ -208,7 +208,7 @@ def test_a_part_put_back_on_the_plate_is_seen_there_again():
     planner = Planner(RIG, load_scenario("sort_4"))
 
     def seen(before, x, t):
-        return planner._last_seen(before, Parts.make(("black_1",), np.array([[x, 0.0]])), t)
+        return planner._update_last_seen(before, Parts.make(("black_1",), np.array([[x, 0.0]])), t)
 
     off = seen({}, 0.31, 1.0)
     assert seen(off, 0.35, 2.0) == off  # where it left

@@ -9,7 +9,7 @@ import pytest
 from plate_core import Parts, ScenarioError, load_rig
 from plate_core.tasks import Bin, PartGroup, Side, SortTask, load_scenario
 from plate_planner.tasks import Situation, Sorter
-from plate_planner.tasks.sort import LANE_AT, MARGIN, slots
+from plate_planner.tasks.sort import LANE_AT, MARGIN, bin_slots
 
 RIG = load_rig()
 HALF = RIG.plate.half
@@ -181,7 +181,7 @@ def test_parts_for_a_bin_are_each_to_come_into_a_slot():
     sorter = Sorter(SortTask({"black": BIN}, 0.0, 0.5), RIG)
     parts = Parts.make(("black_1", "black_2"), np.array([[0.1, 0.0], [-0.15, 0.1]]))
     to = sorter.request(parts, 1.0)
-    middle, slot = (to.low + to.high) / 2, slots(BIN, "black", RIG)
+    middle, slot = (to.low + to.high) / 2, bin_slots(BIN, "black", RIG)
     gap = np.hypot(*(middle[:, None] - slot[None]).transpose(2, 0, 1))
     assert np.min(gap, axis=1) == pytest.approx(0, abs=1e-9)
     assert len(set(np.argmin(gap, axis=1))) == 2
@@ -191,7 +191,7 @@ def test_parts_for_a_bin_are_each_to_come_into_a_slot():
 
 
 def test_slots_are_apart_and_clear_of_the_bins_sides():
-    slot = slots(BIN, "black", RIG)
+    slot = bin_slots(BIN, "black", RIG)
     radius = RIG.parts.radius_m
     gap = np.hypot(*(slot[:, None] - slot[None]).transpose(2, 0, 1)) + np.eye(len(slot))
     assert len(slot) >= 8  # its area has room for 15 squares
@@ -202,7 +202,7 @@ def test_slots_are_apart_and_clear_of_the_bins_sides():
 def test_a_bin_too_small_for_its_parts_is_refused():
     small = Bin(((0.0, 0.0), (0.05, 0.0), (0.05, 0.05), (0.0, 0.05)))
     scenario = replace(load_scenario("sort_4"), task=SortTask({"black": small, "grey": BIN}, 0, 0))
-    room = len(slots(small, "black", RIG))
+    room = len(bin_slots(small, "black", RIG))
     assert room == 4  # two by two, 28 mm apart in 50 mm less 10 mm at each side
     scenario = replace(scenario, parts=(PartGroup("black", room + 1), PartGroup("grey", 2)))
     with pytest.raises(ScenarioError, match=rf"black has {room + 1} parts, .* at most {room} "):
@@ -217,7 +217,7 @@ def test_parts_for_a_bin_along_an_edge_keep_behind_the_wall_if_it_has_room_there
 ):
     """The wall is 20 mm from the edge, and 14 mm are required. Slots are 10 mm from the sides."""
     strip = Bin(((-0.1, inner), (0.05, inner), (0.05, 0.15), (-0.1, 0.15)))
-    slot = slots(strip, "black", RIG)
+    slot = bin_slots(strip, "black", RIG)
     assert len(slot) == room
     if room:
         assert 1e3 * np.min(0.15 - slot[:, 1]) >= least - 1e-6

@@ -205,7 +205,7 @@ class CycleLog:
         `requested` is the start time of the cycle during which the image for this cycle's request
         was taken [s]. Default: the start of the running cycle.
         """
-        if not _playable(cycle):
+        if not _is_playable(cycle):
             return self
         if requested is None:
             requested = self.begin if self.runs else arrival
@@ -217,26 +217,26 @@ class CycleLog:
     def started(self, cycle: PlateCycle, begin: float, triggered: bool = False) -> CycleLog:
         """Record the report that the plate began a cycle at the time `begin` [s]. A repeated report
         changes nothing. `triggered` states whether images are taken at cycle starts."""
-        if not _playable(cycle):
+        if not _is_playable(cycle):
             return self
         if self._clock_was_reset(begin):
             return CycleLog(((begin, cycle),), free_running=not triggered, last_report=begin)
         if self._is_reported(cycle, begin):
             return self
-        before = self._runs_before(begin)
+        before = self._list_runs_before(begin)
         kept = tuple(run for run in before if run[0] + run[1].period > begin - MEMORY_S)
-        answer = self._answer_in(cycle)
+        answer = self._index_in_sent(cycle)
         return replace(
             self,
             runs=(*kept, (begin, cycle)),
             sent=self.sent if answer is None else self.sent[answer + 1 :],
             free_running=not triggered,
-            delays=self._delays_with(answer, kept),
+            delays=self._updated_delays(answer, kept),
             last_report=begin,
-            awaited=self._awaited_after(cycle),
+            awaited=self._updated_awaited(cycle),
             begun=self.begun + 1,
             unanswered_cycles=self.unanswered_cycles
-            + (answer is None and self._goes_on(cycle, before)),
+            + (answer is None and self._is_continuation(cycle, before)),
         )
 
     def _clock_was_reset(self, begin: float) -> bool:
@@ -247,21 +247,23 @@ class CycleLog:
     def _is_reported(self, cycle: PlateCycle, begin: float) -> bool:
         """Whether an earlier report stated that this cycle began at the time `begin` [s]."""
         return begin <= self.last_report and any(
-            begin == start and _same(cycle, run) for start, run in self.runs
+            begin == start and _is_same_cycle(cycle, run) for start, run in self.runs
         )
 
-    def _runs_before(self, begin: float) -> tuple[tuple[float, PlateCycle], ...]:
+    def _list_runs_before(self, begin: float) -> tuple[tuple[float, PlateCycle], ...]:
         """Return the runs that began clearly before a reported start time `begin` [s]. If a run was
         expected to begin at about this time, it was only a prediction. The report replaces this
         run, so it is omitted."""
         return tuple(run for run in self.runs if run[0] < begin - SNAP * run[1].period)
 
-    def _answer_in(self, cycle: PlateCycle) -> int | None:
+    def _index_in_sent(self, cycle: PlateCycle) -> int | None:
         """Return the index in `sent` of a cycle that has begun, or None if `sent` does not contain
         this cycle."""
-        return next((k for k, one in enumerate(self.sent) if _same(one.cycle, cycle)), None)
+        return next(
+            (k for k, one in enumerate(self.sent) if _is_same_cycle(one.cycle, cycle)), None
+        )
 
-    def _delays_with(
+    def _updated_delays(
         self, answer: int | None, kept: tuple[tuple[float, PlateCycle], ...]
     ) -> tuple[int, ...]:
         """Return the value of `delays` after a result of the solver has begun. `answer` is the
@@ -277,13 +279,15 @@ class CycleLog:
         )
         return (*self.delays, late)[-DELAYS_KEPT:]
 
-    def _goes_on(self, cycle: PlateCycle, before: tuple[tuple[float, PlateCycle], ...]) -> bool:
+    def _is_continuation(
+        self, cycle: PlateCycle, before: tuple[tuple[float, PlateCycle], ...]
+    ) -> bool:
         """Whether a cycle moves the plate only because no result of the solver arrived in time. In
         this case, the cycle repeats the last run or is the tail of the last run. In addition, the
         newest sent cycle is not a cycle at rest."""
         if not (before and cycle.moves) or (self.sent and not self.sent[-1].cycle.moves):
             return False
-        return any(_same(cycle, part) for part in before[-1][1].parts)
+        return any(_is_same_cycle(cycle, part) for part in before[-1][1].parts)
 
     def advance(self, t: float) -> CycleLog:
         """Return the log advanced to the stamp t [s] of an image. If the driver reports no cycle
@@ -296,7 +300,7 @@ class CycleLog:
         if self.free_running:
             log = self
             while log.end <= t < log.end + MEMORY_S:
-                log = log._begin(log.end)
+                log = log._begin_cycle(log.end)
             return log
         log = self
         if self.runs and t < (self.runs[0][0] if self.begin == self.last_report else self.begin):
@@ -305,11 +309,11 @@ class CycleLog:
             # No image has arrived for a long time.
             log = CycleLog(sent=self.sent, answered_start=self.answered_start, awaited=self.awaited)
         if not log.runs:
-            return log._begin(t)
+            return log._begin_cycle(t)
         while log.end <= t - SNAP * (log.end - log.begin):
-            log = log._begin(log.end)
+            log = log._begin_cycle(log.end)
         if log.end <= t + SNAP * (log.end - log.begin):
-            log = log._begin(t)
+            log = log._begin_cycle(t)
         kept = tuple(run for run in log.runs if run[0] + run[1].period > t - MEMORY_S)
         return replace(log, runs=kept)
 
@@ -328,7 +332,7 @@ class CycleLog:
                 return taken if cycle.moves else t
         return t
 
-    def _begin(self, t: float) -> CycleLog:
+    def _begin_cycle(self, t: float) -> CycleLog:
         """Return the log after the next cycle has begun at time t [s]."""
         arrived = [one for one in self.sent if in_time(one.arrival, t)]
         if self.delay:
@@ -343,15 +347,15 @@ class CycleLog:
         # Keep the sent cycles in two cases: their starts may be reported later, or a sent cycle may
         # follow a tail.
         keeps = math.isfinite(self.last_report) or not any(cycle is each for each in waiting)
-        awaited = self.awaited if keeps else self._awaited_after(cycle)
+        awaited = self.awaited if keeps else self._updated_awaited(cycle)
         runs = (*self.runs, (t, cycle))
         return replace(self, runs=runs, sent=self.sent if keeps else (), awaited=awaited)
 
-    def _awaited_after(self, cycle: PlateCycle) -> Sent | None:
+    def _updated_awaited(self, cycle: PlateCycle) -> Sent | None:
         """Return the value of `awaited` after `cycle` has begun. The value is None if `cycle` is
         the awaited cycle."""
         one = self.awaited
-        return None if one is not None and _same(one.cycle, cycle) else one
+        return None if one is not None and _is_same_cycle(one.cycle, cycle) else one
 
     def may_move(self, t: float) -> bool:
         """Whether the cycle `awaited` may still begin after the time t [s].
@@ -401,13 +405,13 @@ def check_start(cycle: PlateCycle, begin: float, image: float | None) -> None:
         )
 
 
-def _same(one: PlateCycle, other: PlateCycle) -> bool:
+def _is_same_cycle(one: PlateCycle, other: PlateCycle) -> bool:
     """Whether two cycles have equal knot poses, up to rounding. Times are not compared."""
     a, b = one.knot_pose, other.knot_pose
     return a.shape == b.shape and bool(np.all(np.abs(a - b) < SAME_POSE))
 
 
-def _playable(cycle: PlateCycle) -> bool:
+def _is_playable(cycle: PlateCycle) -> bool:
     """Whether the lengths of a cycle and its tail are in the range that the log accepts."""
     return all(MIN_S <= part.period <= MAX_S for part in cycle.parts)
 

@@ -184,7 +184,7 @@ class DriftBias:
         known = row >= 0
         drift, place = np.zeros((len(parts), 2)), parts.position.copy()
         drift[known], place[known] = self.drift[row[known]], self.place[row[known]]
-        if self._had(latency) and self._was_for(t):
+        if self._has_same_latency(latency) and self._is_prediction_for(t):
             new = np.einsum("pij,pj->pi", axes, parts.position - place) / self.span
             new = np.clip(new, -max_error[:, None], max_error[:, None])
             drift += gain * np.where((known & seen)[:, None], new - drift, 0.0)
@@ -202,12 +202,12 @@ class DriftBias:
         contains the axes of each part."""
         return np.einsum("pi,pij->pj", self.drift, axes)
 
-    def _had(self, latency: float | None) -> bool:
+    def _has_same_latency(self, latency: float | None) -> bool:
         if latency is None or self.latency is None:
             return False
         return abs(latency - self.latency) < SAME_LATENCY_S
 
-    def _was_for(self, t: float) -> bool:
+    def _is_prediction_for(self, t: float) -> bool:
         return abs(t - self.stamp) <= LATE * self.span
 
 
@@ -463,10 +463,10 @@ class Estimator:
     @property
     def at_rest(self) -> bool:
         """Whether parts and plate were at rest when the last image was taken."""
-        return self.taken >= self._known_rest + SETTLE_S
+        return self.taken >= self._rest_start + SETTLE_S
 
     @property
-    def _known_rest(self) -> float:
+    def _rest_start(self) -> float:
         """Time since which the plate has been at rest [s]. The time is derived from the log of
         cycles or, if the log is empty, from the last request."""
         if self.log.known:
@@ -487,7 +487,7 @@ class Estimator:
         """
         log, requested = self.log, self.request.stamp
         if not log.known:
-            return self._known_rest
+            return self._rest_start
         shown = max(
             (begin for begin, _ in log.runs if begin < self.taken + TRIGGER_TOLERANCE_S),
             default=0.0,
@@ -544,10 +544,10 @@ class Estimator:
         place = estimate.at(best, self.log, self.stamp, self.friction_accel)[:, :2]
         types = [self.rig.part_type(part_class(name)) for name in estimate.ids]
         grip = self.friction_accel * self.friction * np.array([part.mass_kg for part in types])
-        angle, spin = self._angles(estimate.ids)
-        return Parts.make(estimate.ids, place, self._drift(place), angle, spin, grip)
+        angle, spin = self._predict_angles(estimate.ids)
+        return Parts.make(estimate.ids, place, self._estimate_drift(place), angle, spin, grip)
 
-    def _angles(self, ids: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
+    def _predict_angles(self, ids: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
         """Return the angles (K,) [rad] and the angular velocities (K,) [rad/s] of parts at the time
         `stamp`.
 
@@ -558,7 +558,7 @@ class Estimator:
         row = rows_of(ids, self.seen.ids)
         return np.append(self.seen.angle, 0.0)[row], np.append(self.seen.spin, 0.0)[row]
 
-    def _drift(self, place: np.ndarray) -> np.ndarray:
+    def _estimate_drift(self, place: np.ndarray) -> np.ndarray:
         """Return the drift (M, 2) [m/s] of the parts. `place` (M, 2) [m] contains the positions of
         the parts at the time `stamp`.
 
@@ -616,15 +616,15 @@ class Estimator:
         """Update the estimated drift error with the parts at the time `stamp`. Then store
         `predicted` (M, 2) [m], which are the positions predicted for the time `next_start`. The
         other parameters are the same as in `DriftBias.update`."""
-        seen, latency = rows_of(parts.ids, self.seen.ids) >= 0, self._known_latency
+        seen, latency = rows_of(parts.ids, self.seen.ids) >= 0, self._assumed_latency
         # A prediction over a short time contains less information, so the gain is reduced.
         ahead = min(self.bias.span / self.period, 1.0)
         bias = self.bias.update(parts, seen, self.stamp, latency, axes, gain * ahead, max_error)
-        bias = bias.with_prediction(predicted, self._known_until, self.next_start, latency)
+        bias = bias.with_prediction(predicted, self._newest_information, self.next_start, latency)
         return replace(self, bias=bias, before=parts, before_stamp=self.stamp)
 
     @property
-    def _known_until(self) -> float:
+    def _newest_information(self) -> float:
         """Time of the newest information in predictions [s]. The newest information is the last
         detection of a part, or the start of the running cycle if that is later."""
         if not self.log.free_running:
@@ -639,7 +639,7 @@ class Estimator:
         return self.hypotheses.estimated
 
     @property
-    def _known_latency(self) -> float | None:
+    def _assumed_latency(self) -> float | None:
         """Image latency that predictions assume [s]. None while the latency is being estimated."""
         known = self.latency_known or not self.log.known
         return self.hypotheses.latency if known else None

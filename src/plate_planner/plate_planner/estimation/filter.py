@@ -168,15 +168,15 @@ class StateEstimate:
         fit : Fit
             Prediction quality of each hypothesis for this image.
         """
-        now = self._without(coast)
+        now = self._remove_unseen(coast)
         if log.known and log.begin != now.start:
-            now = now._restarted(log, friction_accel)
+            now = now._restart_at_cycle(log, friction_accel)
         row = {name: i for i, name in enumerate(now.ids)}
         old = [i for i, name in enumerate(parts.ids) if name in row]
         new = [i for i, name in enumerate(parts.ids) if name not in row]
         rows = np.array([row[parts.ids[i]] for i in old], int)
         place = parts.position
-        mean, covariance = now._propagated(rows, log, time[:, old], friction_accel)
+        mean, covariance = now._propagate(rows, log, time[:, old], friction_accel)
         mean, covariance, fit = kalman_update(mean, covariance, place[old], jitter, now.usual[rows])
         after = [now.mean.copy(), now.covariance.copy(), now.time.copy()]
         for whole, piece in zip(after, (mean, covariance, time[:, old]), strict=True):
@@ -218,14 +218,14 @@ class StateEstimate:
         covariance[..., 3, 3] += unsure[:, None]
         return replace(self, time=time, mean=mean, covariance=covariance)
 
-    def _restarted(self, log: CycleLog, friction_accel: float) -> StateEstimate:
+    def _restart_at_cycle(self, log: CycleLog, friction_accel: float) -> StateEstimate:
         """Return the estimate with `start` and `start_mean` set to the start of the last cycle and
         to the predicted state at this time."""
         begin = np.maximum(self.time, log.begin).ravel()
         mean = propagate(log, self.mean.reshape(-1, 5), self.time.ravel(), begin, friction_accel)
         return replace(self, start=log.begin, start_mean=mean.reshape(self.mean.shape))
 
-    def _propagated(
+    def _propagate(
         self, rows: np.ndarray, log: CycleLog, time: np.ndarray, friction_accel: float
     ) -> tuple[np.ndarray, np.ndarray]:
         """Propagate the states of the K parts `rows` to the times `time` (A, K) [s]. Return their
@@ -243,7 +243,7 @@ class StateEstimate:
         covariance += cycles[:, :, None, None] * np.diag(PROCESS_NOISE**2)
         return cloud[:, :, 0], covariance
 
-    def _without(self, coast: Coast) -> StateEstimate:
+    def _remove_unseen(self, coast: Coast) -> StateEstimate:
         """Return the estimate without the parts that were not detected for at least `coast`
         consecutive images."""
         unknown = np.array([part_class(name) == UNKNOWN for name in self.ids], bool)
@@ -369,12 +369,12 @@ def propagate(
     end = np.ascontiguousarray(np.broadcast_to(end, len(state)), dtype=float)
     bound = friction_accel * np.exp(state[:, 4])
     for cycle, start, a, b in log.between(float(begin.min()), float(end.max())):
-        pose, twist, dt = _sampled(cycle, a, b)
+        pose, twist, dt = _sample_cycle(cycle, a, b)
         _kernels.stick_slip(state, bound, pose, twist, begin - start - a, end - start - a, dt)
     return state
 
 
-def _sampled(cycle: PlateCycle, a: float, b: float) -> tuple[np.ndarray, np.ndarray, float]:
+def _sample_cycle(cycle: PlateCycle, a: float, b: float) -> tuple[np.ndarray, np.ndarray, float]:
     steps = max(1, round((b - a) / STEP_S))
     dt = (b - a) / steps
     t = a + (np.arange(steps) + 0.5) * dt

@@ -135,19 +135,19 @@ class FrameClock:
         if math.isfinite(known := self.interval):
             if abs(interval - known) > OTHER * known + 2 * self.noise_s:
                 return FrameClock.at(stamp)
-            clock = self._next(stamp)
+            clock = self._update(stamp)
         else:
             covariance = np.diag([FIRST_S**2, FIRST_INTERVAL_S**2])
             clock = replace(self, time=np.array([[stamps[0], interval]]), covariance=covariance)
             for each in stamps[1:]:
-                clock = clock._next(each)
+                clock = clock._update(each)
         # If the standard deviation of the stamps is larger, the stamps contain no information about
         # the frame times. Then restart the clock.
         if not clock.noise_s <= WIDEST * clock.interval:
             return FrameClock.at(stamp)
         return replace(clock, stamps=stamps)
 
-    def _next(self, stamp: float) -> FrameClock:
+    def _update(self, stamp: float) -> FrameClock:
         """Return the clock updated with the stamp of the next image [s], when the frame interval is
         already known. If the stamp contradicts all hypotheses, the estimation restarts.
 

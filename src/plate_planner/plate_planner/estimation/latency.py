@@ -194,7 +194,7 @@ class LatencyHypotheses:
             log_likelihood=fading * self.log_likelihood + fit.log_likelihood,
             images=self.images + 1,
             misfit=self.misfit + (float(fit.square[self.best]) - self.misfit) / MISFIT_IMAGES,
-            jitter=self._jitter(fit),
+            jitter=self._updated_jitter(fit),
         )
         if len(self.latencies) == 1 and not self.trusting:
             return seen
@@ -218,7 +218,7 @@ class LatencyHypotheses:
         enough = seen.images >= MIN_IMAGES
         if enough and other and likely[best] - np.max(likely[given_up]) > CLEAR:
             step = min(2 * step, COARSE_S) if at_end else max(step / 2, FINE_S)
-            return seen._around(best, step, log, friction_accel)
+            return seen._hypotheses_around(best, step, log, friction_accel)
         return replace(seen, best=best)
 
     def none_old(self, log: CycleLog, friction_accel: float) -> LatencyHypotheses:
@@ -232,14 +232,14 @@ class LatencyHypotheses:
         estimate = self.estimate.of([0]).moved(log, self.latencies[:1], friction_accel)
         return replace(self.of(0.0), estimate=estimate, jitter=self.jitter, trusting=True)
 
-    def _jitter(self, fit: Fit) -> Jitter:
+    def _updated_jitter(self, fit: Fit) -> Jitter:
         """Return the value of `jitter` after an image. Until the latency is known, the value does
         not change."""
         if not self.estimated:
             return self.jitter
         return self.jitter.update(float(fit.lateness[self.best]), float(fit.information[self.best]))
 
-    def _around(
+    def _hypotheses_around(
         self, best: int, step: float, log: CycleLog, friction_accel: float
     ) -> LatencyHypotheses:
         """Return hypotheses whose latencies surround the latency of the hypothesis `best`, with the

@@ -40,7 +40,7 @@ class GoalServers:
         self._results: dict[bytes, TaskStatus] = {}
         self._servers = [
             ActionServer(
-                node, action, name, self._result, handle_accepted_callback=on_goal,
+                node, action, name, self._make_result, handle_accepted_callback=on_goal,
                 cancel_callback=on_cancel, result_timeout=RESULT_S,
             )
             for name, action in ACTIONS.items()
@@ -66,7 +66,7 @@ class GoalServers:
         for server in self._servers:
             server.destroy()
 
-    def _result(self, goal: Any) -> Any:
+    def _make_result(self, goal: Any) -> Any:
         status = self._results.pop(bytes(goal.goal_id.uuid))
         if status.state == TaskStatus.DONE:
             goal.succeed()

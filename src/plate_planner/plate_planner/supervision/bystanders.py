@@ -46,9 +46,9 @@ def bystanders_text(parts: Parts, labels: tuple[str, ...]) -> str:
     rows = [row for row, name in enumerate(parts.ids) if is_bystander(name, labels)]
     if not rows:
         return ""
-    places = [f"{parts.ids[row]} {_place(*parts.position[row])}" for row in rows]
+    places = [f"{parts.ids[row]} {_place_text(*parts.position[row])}" for row in rows]
     is_ = "1 unknown object is" if len(rows) == 1 else f"{len(rows)} unknown objects are"
-    return f"{is_} on the plate ({_listed(places)})"
+    return f"{is_} on the plate ({_join_texts(places)})"
 
 
 def without_surplus(parts: Parts, labels: tuple[str, ...]) -> Parts:
@@ -107,20 +107,20 @@ class Overlooked:
         if not count:
             return ""
         shown = next(one for one in reversed(self.images) if len(one) >= count)
-        places = [f"{thing.reason} {_place(thing.x, thing.y)}" for thing in shown[:count]]
+        places = [f"{thing.reason} {_place_text(thing.x, thing.y)}" for thing in shown[:count]]
         more = "1 undetected object"
         if count > 1:
             more = f"{count} undetected objects"
         return (
-            f"the image shows {more} ({_listed(places)}), which may be parts: other parts may hit "
-            "them (see the detector's diagnostics)"
+            f"the image shows {more} ({_join_texts(places)}), which may be parts: other parts may "
+            "hit them (see the detector's diagnostics)"
         )
 
 
-def _place(x: float, y: float) -> str:
+def _place_text(x: float, y: float) -> str:
     return f"at ({x:.3f}, {y:.3f}) m"
 
 
-def _listed(texts: list[str]) -> str:
+def _join_texts(texts: list[str]) -> str:
     more = len(texts) - LISTED
     return ", ".join(texts[:LISTED]) + (f" and {more} more" if more > 0 else "")

@@ -100,7 +100,7 @@ def shortfall_text(
     size = float(np.hypot(*drift))
     if size < AT_REST_MPS or float(drift @ got) > 0.5 * size**2:
         return text
-    return f"{text}; {remedy(rig, count)}"
+    return f"{text}; {remedy_text(rig, count)}"
 
 
 def outlook(rig: Rig, count: int, time_limit_s: float) -> str:
@@ -113,10 +113,10 @@ def outlook(rig: Rig, count: int, time_limit_s: float) -> str:
         expect = "several times as long"
         if np.isfinite(time_limit_s):
             expect += f", and some runs may exceed time_limit_s, {time_limit_s:g} s"
-    return f"{remedy(rig, count)}; expect the task to take {expect}"
+    return f"{remedy_text(rig, count)}; expect the task to take {expect}"
 
 
-def remedy(rig: Rig, count: int) -> str:
+def remedy_text(rig: Rig, count: int) -> str:
     """Return a text that proposes a remedy if parts do not move as requested."""
     if rig.gamma < MIN_GAMMA:
         return weak_plate_text(rig)

@@ -195,14 +195,14 @@ class Inputs:
             return finding.message
         if self.driver_status is None:
             return f"no driver_status yet; {self.driver.advice}"
-        return "" if self._driver_ready else self._driver_text
+        return "" if self._is_driver_ready else self._driver_text
 
     @property
     def _driver_text(self) -> str:
         return "" if self.driver_status is None else f"driver: {self.driver_status.text}"
 
     @property
-    def _driver_ready(self) -> bool:
+    def _is_driver_ready(self) -> bool:
         """Whether the cycles are executed by the motors."""
         return self.driver_status is not None and self.driver_status.state is DriverState.READY
 
@@ -210,9 +210,9 @@ class Inputs:
         """Return the reason why missing messages of the topic parts prevent the start of a task.
         The text is empty if a task can start."""
         if self.parts.arrival is None:
-            return f"no parts yet; {self._blame_for_parts(now, publishers)}"
+            return f"no parts yet; {self._missing_parts_cause(now, publishers)}"
         if self.parts.timed_out(now) is not None:
-            return self._no_parts(now, self.parts.age(now), publishers)
+            return self._missing_parts_text(now, self.parts.age(now), publishers)
         return ""
 
     def starts_problem(self, now: float) -> str:
@@ -240,7 +240,7 @@ class Inputs:
         publishers : callable
             Function that returns the number of publishers of a topic.
         """
-        why = self._missing(now, began, period, publishers)
+        why = self._find_missing_input(now, began, period, publishers)
         # If the driver reports a failed connection, return this failure. The missing inputs are its
         # consequence.
         return self._driver_failure if why and self.error_since is not None else why
@@ -249,7 +249,7 @@ class Inputs:
     def _driver_failure(self) -> Failure:
         return Failure(Reason.DRIVER_STOPPED, self._driver_text)
 
-    def _missing(
+    def _find_missing_input(
         self, now: float, began: float, period: float, publishers: Callable[[str], int]
     ) -> Failure | None:
         timeout = self.timeout(period)
@@ -261,7 +261,7 @@ class Inputs:
         if self.error_since is not None:
             if now - max(self.error_since, began) > ERROR_TIMEOUT_S:
                 return self._driver_failure
-        elif not self._driver_ready:
+        elif not self._is_driver_ready:
             return self._driver_failure
         if self.enabled_again is not None and self.enabled_again > began:
             why = "driver: the motors were stopped and enabled again"
@@ -275,23 +275,23 @@ class Inputs:
         if self.unanswered is not None:  # in lockstep the simulator waits for the result
             age, advice = now - max(self.unanswered, began), "check that the solver runs"
             if age > timeout:
-                why = self._blame("plate_cycle", "solver", advice, now, publishers)
+                why = self._silence_cause("plate_cycle", "solver", advice, now, publishers)
                 return Failure(Reason.NO_CYCLE, f"no plate_cycle for {age:.1f} s; {why}")
         elif age > timeout:
-            return Failure(Reason.NO_PARTS, self._no_parts(now, age, publishers))
+            return Failure(Reason.NO_PARTS, self._missing_parts_text(now, age, publishers))
         seen = self.reports.get("detector")
         # An error of the detector means that its positions are wrong.
         wrong = seen is not None and seen.level is Level.ERROR
         if seen is not None and wrong and seen.at - max(seen.since, began) > ERROR_TIMEOUT_S:
             return Failure(Reason.CUT_OFF, f"detector: {seen.message}")
-        name = self._cut_off(now, began, period)
+        name = self._find_node_without_input(now, began, period)
         if name:
             return Failure(Reason.CUT_OFF, f"{name}: {self.reports[name].message}")
         orders = self.orders
         finding = orders.timed_out(now) if orders is not None and orders.since >= began else None
         return Failure(Reason.CUT_OFF, finding.message) if finding is not None else None
 
-    def _cut_off(self, now: float, began: float, period: float) -> str:
+    def _find_node_without_input(self, now: float, began: float, period: float) -> str:
         """Return the first node of `LOOP` that reports missing input. The result is empty if there
         is no such node.
 
@@ -364,18 +364,18 @@ class Inputs:
             self, parts=parts, driver=driver, ran=now, unanswered=None, reports={}, starts=starts
         )
 
-    def _no_parts(self, now: float, age: float, publishers: Callable[[str], int]) -> str:
+    def _missing_parts_text(self, now: float, age: float, publishers: Callable[[str], int]) -> str:
         if self.repeated and self.stamp is not None and publishers("parts"):
             return (
                 f"no new parts for {age:.1f} s: the messages have the same stamp, "
                 f"{1e-9 * self.stamp:.3f} s, allowed: the time of each image"
             )
-        return f"no parts for {age:.1f} s; {self._blame_for_parts(now, publishers)}"
+        return f"no parts for {age:.1f} s; {self._missing_parts_cause(now, publishers)}"
 
-    def _blame_for_parts(self, now: float, publishers: Callable[[str], int]) -> str:
-        return self._blame("parts", "detector", self.parts.advice, now, publishers)
+    def _missing_parts_cause(self, now: float, publishers: Callable[[str], int]) -> str:
+        return self._silence_cause("parts", "detector", self.parts.advice, now, publishers)
 
-    def _blame(
+    def _silence_cause(
         self, topic: str, node: str, advice: str, now: float, publishers: Callable[[str], int]
     ) -> str:
         """Return the reason why the node `node` does not publish the topic `topic`. If the reason

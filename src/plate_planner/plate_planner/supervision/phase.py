@@ -241,9 +241,9 @@ def begin(
     if t - waiting_since > limits.start_timeout_s + TIME_TOLERANCE_S:
         what = "no two images with equal parts within"
         if missing:
-            what = f"{_listed(missing)} not detected within"
-        why = _joined(f"{what} {limits.start_timeout_s:g} s of the start", others, CHECK_IMAGE)
-        return _end(state, t, Phase.ABORTED, Reason.PARTS_MISSING, why)
+            what = f"{_join_names(missing)} not detected within"
+        why = _join_texts(f"{what} {limits.start_timeout_s:g} s of the start", others, CHECK_IMAGE)
+        return _end_task(state, t, Phase.ABORTED, Reason.PARTS_MISSING, why)
     return replace(state, waiting_since=waiting_since)
 
 
@@ -259,7 +259,7 @@ def stopped(state: TaskState, t: float | None, why: Failure = STOP) -> TaskState
     """
     if state.phase is not Phase.RUNNING:
         return TaskState()
-    return _end(state, t, Phase.ABORTED, *why)
+    return _end_task(state, t, Phase.ABORTED, *why)
 
 
 @dataclass(frozen=True)
@@ -317,7 +317,7 @@ def evaluate(state: TaskState, t: float, findings: Findings, limits: TaskLimits)
     if not (
         findings.missing and findings.goal_met
     ):  # if parts are missing, it is unknown whether the goal is met, so keep the last value
-        met_since = _since(met_since, findings.goal_met, t)
+        met_since = _hold_start(met_since, findings.goal_met, t)
     state = replace(state, missing_since=missing_since, met_since=met_since)
     # The distance to the goal does not include missing parts. If parts are missing, a smaller
     # distance is not progress.
@@ -327,15 +327,15 @@ def evaluate(state: TaskState, t: float, findings: Findings, limits: TaskLimits)
     lost = tuple(name for name, since in missing_since if t - since > timeout)
     if lost:
         losses = [findings.loss(name) for name in lost]
-        text = _joined(findings.unanswered, *(loss.text for loss in losses))
-        return _end(state, t, Phase.LOST, losses[0].reason, text)
+        text = _join_texts(findings.unanswered, *(loss.text for loss in losses))
+        return _end_task(state, t, Phase.LOST, losses[0].reason, text)
     if findings.problem:
-        text = _joined(findings.unanswered, findings.problem)
-        return _end(state, t, Phase.STUCK, Reason.TOO_FAR_OFF, text)
+        text = _join_texts(findings.unanswered, findings.problem)
+        return _end_task(state, t, Phase.STUCK, Reason.TOO_FAR_OFF, text)
     held = state.held(t, limits)
     if held and findings.all_seen and findings.at_rest and not findings.missing:
-        text = _joined(findings.outcome, findings.unanswered)
-        return _end(state, t, Phase.DONE, Reason.NONE, text)
+        text = _join_texts(findings.outcome, findings.unanswered)
+        return _end_task(state, t, Phase.DONE, Reason.NONE, text)
     reason, text = Reason.NONE, ""
     # If the goal was met within the time limit, allow additional time for an image of the parts at
     # rest.
@@ -349,24 +349,26 @@ def evaluate(state: TaskState, t: float, findings: Findings, limits: TaskLimits)
         text = f"no progress for {limits.stuck_timeout_s:g} s"
     if reason is Reason.NONE:
         return state
-    return _end(
-        state, t, Phase.STUCK, reason, _joined(text, findings.unanswered, findings.detail())
+    return _end_task(
+        state, t, Phase.STUCK, reason, _join_texts(text, findings.unanswered, findings.detail())
     )
 
 
-def _end(state: TaskState, t: float | None, phase: Phase, reason: Reason, detail: str) -> TaskState:
+def _end_task(
+    state: TaskState, t: float | None, phase: Phase, reason: Reason, detail: str
+) -> TaskState:
     return replace(state, phase=phase, reason=reason, detail=detail, ended=t)
 
 
-def _since(since: float | None, holds: bool, t: float) -> float | None:
+def _hold_start(since: float | None, holds: bool, t: float) -> float | None:
     if not holds:
         return None
     return t if since is None else since
 
 
-def _joined(*texts: str) -> str:
+def _join_texts(*texts: str) -> str:
     return "; ".join(filter(None, texts))
 
 
-def _listed(names: tuple[str, ...]) -> str:
+def _join_names(names: tuple[str, ...]) -> str:
     return ", ".join(names)

@@ -48,18 +48,18 @@ class Assembler(TaskRules):
     def distance(self, parts: Parts) -> np.ndarray:
         """Return the distance of each part from its assigned place (M,) [m]. The distance is NaN
         for a part without a place."""
-        aim, placed = self._aim(parts)
+        aim, placed = self._assign_places(parts)
         return np.where(placed, np.hypot(*(parts.position - aim).T), np.nan)
 
     def request(self, parts: Parts) -> Targets:
         """Return the targets of M parts. For a part without a place, the only target is to stay on
         the plate."""
-        aim, placed = self._aim(parts)
+        aim, placed = self._assign_places(parts)
         band, rows = BAND * self.task.tolerance_m, placed[:, None] & [True, True]
         weight = np.where(rows, distance_weight(aim - parts.position), 0.0)
         return Targets(aim - band, aim + band, weight, GAP * self.rig.parts.radius_m)
 
-    def _aim(self, parts: Parts) -> tuple[np.ndarray, np.ndarray]:
+    def _assign_places(self, parts: Parts) -> tuple[np.ndarray, np.ndarray]:
         """Return the assigned place of each part (M, 2) [m], and whether the part has a place (M,).
         For a part without a place, the present position is returned instead."""
         place = np.array(self.task.place)

@@ -184,14 +184,14 @@ class Feeder(TaskRules):
             ],
             dtype=bool,
         ).reshape(len(self._picks), len(parts))
-        clearing = self._clearing(memory, parts, near)
+        clearing = self._is_clearing_needed(memory, parts, near)
         request, chosen = None, memory.chosen
         if now.active and self._mode is not FeedMode.REST:
-            request, chosen = self._request(memory, parts, near, gap, clearing)
+            request, chosen = self._make_targets(memory, parts, near, gap, clearing)
         rest_from = np.inf
         if request is None:
             rest_from = min(memory.rest_from, now.rests)
-        report = self._report(memory, now, rest_from)
+        report = self._make_report(memory, now, rest_from)
         place = {
             name: (x, y)
             for name, (x, y) in zip(parts.ids, parts.position.tolist(), strict=True)
@@ -231,12 +231,12 @@ class Feeder(TaskRules):
     def _picks(self) -> tuple[Pick, ...]:
         return self.task.order.picks or self.task.picks
 
-    def _report(self, memory: FeedMemory, now: Situation, rest_from: float) -> FeedReport:
+    def _make_report(self, memory: FeedMemory, now: Situation, rest_from: float) -> FeedReport:
         """Return the report for an image. Parts that have left the plate since the last report are
         added to the counts. The plate rests from the time `rest_from` [s] on."""
         seen, before = now.seen, memory.report
         hidden = [i for i, name in enumerate(now.parts.ids) if name not in seen.ids]
-        every = _join(
+        every = _concatenate_parts(
             seen, now.parts.take(hidden)
         )  # also keep clearance from parts that the image does not show
         gap = free_gap(every, self.rig)
@@ -253,9 +253,9 @@ class Feeder(TaskRules):
         discharged, lost = before.discharged, before.lost
         new = every.take([i for i, name in enumerate(every.ids) if name not in memory.place])
         for name, place in () if now.kept else memory.place.items():
-            if name not in every.ids and not _is_among(new, name, place):
-                side = self._exit_side(name, np.array(place))
-                meant = side == self._chute and not self._is_wanted(name)
+            if name not in every.ids and not _has_new_id(new, name, place):
+                side = self._find_exit_side(name, np.array(place))
+                meant = side == self._chute_side and not self._is_wanted(name)
                 discharged += side is not None and meant
                 lost += side is not None and not meant
         return FeedReport(
@@ -269,7 +269,7 @@ class Feeder(TaskRules):
         )
 
     @property
-    def _chute(self) -> tuple[int, int] | None:
+    def _chute_side(self) -> tuple[int, int] | None:
         return None if self.task.chute is None else (self.task.chute.x, self.task.chute.y)
 
     def _is_wanted(self, name: str) -> bool:
@@ -277,7 +277,7 @@ class Feeder(TaskRules):
         labels = [pick.label for pick in self._picks]
         return self._mode is not FeedMode.PURGE and part_class(name) in labels
 
-    def _exit_side(self, name: str, place: np.ndarray) -> tuple[int, int] | None:
+    def _find_exit_side(self, name: str, place: np.ndarray) -> tuple[int, int] | None:
         """Return the side over which a vanished part has left the plate, or None if it has not left
         the plate. `place` (2,) [m] is the last position of the part."""
         reach = self.rig.part_type(part_class(name)).reach_m
@@ -285,23 +285,23 @@ class Feeder(TaskRules):
         axis = int(np.argmin(away))
         sign = 1 if place[axis] > 0 else -1
         side = (sign, 0) if axis == 0 else (0, sign)
-        near = NEAR_CHUTE if side == self._chute else NEAR_EDGE
+        near = NEAR_CHUTE if side == self._chute_side else NEAR_EDGE
         return side if away[axis] <= near * reach else None
 
-    def _clearing(self, memory: FeedMemory, parts: Parts, near: np.ndarray) -> bool:
+    def _is_clearing_needed(self, memory: FeedMemory, parts: Parts, near: np.ndarray) -> bool:
         """Whether the unwanted parts must move to the chute now. Unwanted parts must move if there
         are many of them, or if no other part can get ready."""
         # If the order is to rest, parts are not counted, because vision may detect the robot as a
         # part.
-        if self._chute is None or self._mode is FeedMode.REST:
-            return self._chute is not None and memory.clearing
+        if self._chute_side is None or self._mode is FeedMode.REST:
+            return self._chute_side is not None and memory.clearing
         unwanted = sum(not self._is_wanted(name) for name in parts.ids)
         if self._mode is FeedMode.PURGE:
             return unwanted > 0
         spare = len(parts) - unwanted - int(np.sum(near))
         return unwanted > 0 and (memory.clearing or unwanted >= MANY_UNWANTED or spare == 0)
 
-    def _request(
+    def _make_targets(
         self,
         memory: FeedMemory,
         parts: Parts,
@@ -318,10 +318,10 @@ class Feeder(TaskRules):
         aims, chosen = Aims.none(parts, self.rig), []
         purging = self._mode is FeedMode.PURGE
         for row, pick in enumerate(() if purging else self._picks):
-            matching = self._aim(aims, parts, pick, near[row])
+            matching = self._aim_at_window(aims, parts, pick, near[row])
             missing = pick.ready - int(np.sum(near[row]))
             if missing > 0:
-                cost = aims.left + np.maximum(self._keep - gap, 0)
+                cost = aims.left + np.maximum(self._min_gap - gap, 0)
                 cost -= CHANGE_M * np.array([name in memory.chosen for name in parts.ids], float)
                 cost[~matching | near[row]] = np.inf
                 best = np.argsort(cost)[:missing]
@@ -331,16 +331,16 @@ class Feeder(TaskRules):
         if not chosen and not clearing:
             return None, ()
         unwanted = np.flatnonzero([not self._is_wanted(name) for name in parts.ids])
-        if self._chute is not None and len(unwanted):
+        if self._chute_side is not None and len(unwanted):
             self._aim_at_chute(aims, unwanted)
-        return aims.targets(self._keep), tuple(chosen)
+        return aims.targets(self._min_gap), tuple(chosen)
 
     @property
-    def _keep(self) -> float:
+    def _min_gap(self) -> float:
         """Minimum distance between the edges of two parts [m]."""
         return self.task.clearance_m + GAP_MARGIN_M
 
-    def _aim(self, aims: Aims, parts: Parts, pick: Pick, near: np.ndarray) -> np.ndarray:
+    def _aim_at_window(self, aims: Aims, parts: Parts, pick: Pick, near: np.ndarray) -> np.ndarray:
         """Set the window and the angle of a pick as targets for the parts of the pick's class.
         `near` (M,) states which parts are ready. Return a mask (M,) that is True for the parts of
         this class."""
@@ -361,7 +361,7 @@ class Feeder(TaskRules):
     def _aim_at_chute(self, aims: Aims, unwanted: np.ndarray) -> None:
         """Set targets outside the chute's edge for the parts with the indices `unwanted` (n,). The
         part nearest to the chute gets the largest weight."""
-        out, half = np.array(self._chute, float), self.rig.plate.half
+        out, half = np.array(self._chute_side, float), self.rig.plate.half
         for axis in np.flatnonzero(out):
             ends = out[axis] * (half[axis] + np.array([BEYOND_M, MAX_BEYOND_M]))
             aims.low[unwanted, axis], aims.high[unwanted, axis] = ends.min(), ends.max()
@@ -453,7 +453,7 @@ class Aims:
         return Targets(self.low, self.high, weight[:, None] * np.ones(2), gap_m, angles)
 
 
-def _is_among(parts: Parts, name: str, place: tuple[float, float]) -> bool:
+def _has_new_id(parts: Parts, name: str, place: tuple[float, float]) -> bool:
     """Whether one of the parts has the same class as the vanished part `name` and is close to its
     last place (x, y). In this case, both are the same part, which has got a new id."""
     same = [part_class(each) == part_class(name) for each in parts.ids]
@@ -461,7 +461,7 @@ def _is_among(parts: Parts, name: str, place: tuple[float, float]) -> bool:
     return bool(np.any(away[np.array(same, dtype=bool)] <= RENAMED_M))
 
 
-def _join(one: Parts, other: Parts) -> Parts:
+def _concatenate_parts(one: Parts, other: Parts) -> Parts:
     """Concatenate two groups of parts."""
     return Parts.make(
         (*one.ids, *other.ids),

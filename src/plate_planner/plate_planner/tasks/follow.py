@@ -95,7 +95,7 @@ values were measured in docs/results.md, section (f), and in the scenario follow
 
 REACHED = 0.3
 """Fraction of the speed bound a T/16 that two parts reached in simulations with shaking ratios of 3
-and 5 [-]. See `Follower._bound`."""
+and 5 [-]. See `Follower._speed_bound`."""
 
 PERIOD_S = 0.1
 """Length T of a cycle for a small number of parts [s]. The speed bound a T/16 is computed with this
@@ -259,18 +259,18 @@ class Follower(TaskRules):
         if not now.active:
             found = Assessment()
         else:
-            memory = self._started(memory, now)
+            memory = self._begin_or_continue(memory, now)
             if memory.leading:
-                return memory, self._approach(memory, now)
+                return memory, self._assess_approach(memory, now)
             memory, parts = self.measure(memory, now), now.parts
             error = self.errors(memory, parts, now.stamp)
             found = Assessment(
-                request=self._request(memory, now),
+                request=self._make_request(memory, now),
                 goal_met=self.finished(memory, now.stamp),
                 distance=error,
                 to_go_m=self.to_go(memory, now.stamp),
                 problem=self.problem(memory, parts, now.stamp),
-                missing=_not_seen(memory, parts),
+                missing=_undetected_ids(memory, parts),
                 outcome=self.outcome(memory, now.stamp),
             )
         if memory is None:
@@ -283,7 +283,7 @@ class Follower(TaskRules):
             pace=memory.pace(now.stamp),
         )
 
-    def _started(self, memory: FollowMemory | None, now: Situation) -> FollowMemory:
+    def _begin_or_continue(self, memory: FollowMemory | None, now: Situation) -> FollowMemory:
         """Return the memory at the beginning of the task. The task begins again at each image while
         parts move to the starts of their paths, and until the length of a cycle is known."""
         early = memory is None or now.stamp < memory.began - now.period / 2
@@ -298,25 +298,28 @@ class Follower(TaskRules):
         led = 0.0 if memory is None else memory.approach_s
         if memory is not None and memory.leading:
             led += max(start - memory.began, 0.0)
-        far = np.nan_to_num(self._leader.distance(now.parts)) > self._leader.task.tolerance_m
+        far = (
+            np.nan_to_num(self._approach_rules.distance(now.parts))
+            > self._approach_rules.task.tolerance_m
+        )
         leading = (memory is None or memory.leading) and bool(np.any(far))
         return replace(again, leading=leading, approach_s=led)
 
-    def _approach(self, memory: FollowMemory, now: Situation) -> Assessment:
+    def _assess_approach(self, memory: FollowMemory, now: Situation) -> Assessment:
         """Return the assessment of an image while parts move to the starts of their paths. The
         motion to the starts uses the rules of an assembling task."""
-        found = self._leader.assess(None, now)[1]
+        found = self._approach_rules.assess(None, now)[1]
         return replace(
             found,
             goal_met=False,
             to_go_m=found.to_go_m + self.to_go(memory, memory.began),
-            missing=_not_seen(memory, now.parts),
+            missing=_undetected_ids(memory, now.parts),
             rms_error_m=0.0,
             max_error_m=0.0,
         )
 
     @cached_property
-    def _leader(self) -> Assembler:
+    def _approach_rules(self) -> Assembler:
         """Rules for the motion of the parts to the starts of their paths."""
         starts = tuple(path.waypoint[0] for path in self.task.paths)
         near = max(SLOW_FROM * self.task.max_error_m, APPROACH_M)
@@ -335,22 +338,22 @@ class Follower(TaskRules):
     def warnings(self) -> tuple[str, ...]:
         """Return a warning if paths are faster than the speeds that parts reached in measurements
         (`KEPT_MPS`), or faster than any motion of the plate allows."""
-        count, fastest = len(self.paths), float(np.max(self._speeds))
-        kept = min(KEPT_MPS[min(count, len(KEPT_MPS)) - 1], REACHED * self._bound)
+        count, fastest = len(self.paths), float(np.max(self._path_speeds))
+        kept = min(KEPT_MPS[min(count, len(KEPT_MPS)) - 1], REACHED * self._speed_bound)
         if fastest <= kept:
             return ()
         parts, reach = ("part", "reaches") if count == 1 else ("parts", "reach")
         reached = f"{reach} about {kept:.2g} m/s"
         why = f"{count} {parts} on this rig {reached}: the references will be slowed down"
-        if fastest > self._bound:
+        if fastest > self._speed_bound:
             why = (
-                f"no motion of this plate moves a part faster than {self._bound:.2g} m/s "
+                f"no motion of this plate moves a part faster than {self._speed_bound:.2g} m/s "
                 f"(a T/16); {count} {parts} {reached}"
             )
         return (f"speed_mps is {fastest:g}; {why}",)
 
     @property
-    def _bound(self) -> float:
+    def _speed_bound(self) -> float:
         """Upper bound a T/16 of the mean speed of a part [m/s]. a is the maximum acceleration of
         the plate, and T the length of a cycle. No motion of the plate moves a part faster."""
         return self.rig.gamma * self.rig.friction.accel * PERIOD_S / 16
@@ -380,17 +383,17 @@ class Follower(TaskRules):
         )
         if memory.fixed:
             return measured
-        lacking = (now.shortfall[part] - NEGLIGIBLE) / self._speeds[path]
+        lacking = (now.shortfall[part] - NEGLIGIBLE) / self._path_speeds[path]
         before, time = memory.scaling[1], memory.path_time(now.start)
         after = before
         if now.latency_known:
-            after = self._scaling(before, worst, float(np.max(lacking, initial=0.0)))
-            after = min(after, self._ahead(time, now.period))
+            after = self._next_scaling(before, worst, float(np.max(lacking, initial=0.0)))
+            after = min(after, self._max_scaling_before_corners(time, now.period))
         # The references keep their previous speed until the start of the cycle that results from
         # this request.
         return replace(measured, anchor=now.start, progress=time, scaling=(before, after))
 
-    def _scaling(self, before: float, worst: float, lacking: float) -> float:
+    def _next_scaling(self, before: float, worst: float, lacking: float) -> float:
         """Return the next speed scaling of the references. `worst` is the maximum error of a part
         [m]. `lacking` is the maximum shortfall of drift, as a fraction of the path's speed.
 
@@ -402,7 +405,7 @@ class Follower(TaskRules):
         upper = max(before * SLOW_DOWN, MIN_SCALING) if lacking > LACKING else before + SPEED_UP
         return float(np.clip(factor, 0, min(1.0, upper)))
 
-    def _ahead(self, time: float, period: float) -> float:
+    def _max_scaling_before_corners(self, time: float, period: float) -> float:
         """Return the maximum speed scaling of the references at the path time `time` [s]. With this
         scaling, no corner ahead requires an acceleration above `CORNER_ACCEL`.
 
@@ -410,7 +413,7 @@ class Follower(TaskRules):
         of a part and v the speed of the path. Then s ds/dp = a/v. Therefore s^2 may be larger by 2
         a/v for each second of path time before a corner.
         """
-        accel, fastest = CORNER_ACCEL * self.rig.friction.accel, float(np.max(self._speeds))
+        accel, fastest = CORNER_ACCEL * self.rig.friction.accel, float(np.max(self._path_speeds))
         away = np.arange(0.0, fastest / (2 * accel) + period, period / CLOSE)
         change = np.zeros(len(away))
         for path in self.paths:
@@ -469,7 +472,7 @@ class Follower(TaskRules):
         pace = memory.pace(t)
         if pace >= SLOWED:
             return text
-        fastest = 1e3 * float(np.max(self._speeds))
+        fastest = 1e3 * float(np.max(self._path_speeds))
         return (
             f"{text}; slowed down to {100 * pace:.0f} % of the requested speed: speed_mps is "
             f"{1e-3 * fastest:g}, advised: {1e-3 * fastest * pace:.2g}"
@@ -492,13 +495,13 @@ class Follower(TaskRules):
         limit = np.zeros(len(parts))
         if memory is not None:
             path, part = matched_rows(memory.match, parts)
-            limit[part] = BIAS_MAX * self._speeds[path]
+            limit[part] = BIAS_MAX * self._path_speeds[path]
         return limit
 
-    def _request(self, memory: FollowMemory, now: Situation) -> DriftInterval:
+    def _make_request(self, memory: FollowMemory, now: Situation) -> DriftInterval:
         """Return the requested drift of each part. For parts without a path, the only request is to
         stay on the plate."""
-        speed, half = float(np.max(self._speeds)), self.rig.plate.half
+        speed, half = float(np.max(self._path_speeds)), self.rig.plate.half
         intervals = [
             stay_within(now.parts.position[:, k], half[k], *EDGE, speed, 2 * speed)
             for k in range(2)
@@ -517,7 +520,7 @@ class Follower(TaskRules):
             self.reference(memory, now.start + now.period)[path],
             now.period,
             self.options.kp / times,
-            max(SPEED_RATIO_MAX / times, 1.0) * scaling * self._speeds[path],
+            max(SPEED_RATIO_MAX / times, 1.0) * scaling * self._path_speeds[path],
         )
         return DriftInterval(low, high)
 
@@ -526,11 +529,11 @@ class Follower(TaskRules):
         return [path.label for path in self.task.paths]
 
     @cached_property
-    def _speeds(self) -> np.ndarray:
+    def _path_speeds(self) -> np.ndarray:
         """Maximum speed of each path (P,) [m/s]."""
         return np.array([path.speed for path in self.paths])
 
 
-def _not_seen(memory: FollowMemory, parts: Parts) -> tuple[str, ...]:
+def _undetected_ids(memory: FollowMemory, parts: Parts) -> tuple[str, ...]:
     """Return the ids of parts that are assigned to paths but not contained in `parts`."""
     return tuple(i for i in memory.match if i not in parts.ids and i != UNMATCHED)

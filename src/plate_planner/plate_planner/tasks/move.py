@@ -95,7 +95,7 @@ class Mover(TaskRules):
         remaining = self.remaining(memory, parts)
         there = remaining.requested & (remaining.distance <= self.task.tolerance_m)
         there &= np.abs(remaining.missing) <= self.task.tolerance_rad
-        reach = np.array([part.reach_m for part in self._types(parts)])
+        reach = np.array([part.reach_m for part in self._part_types(parts)])
         distance = np.where(
             remaining.requested, remaining.distance + reach * np.abs(remaining.missing), 0.0
         )
@@ -114,7 +114,7 @@ class Mover(TaskRules):
             max_error_m=float(np.max(error, initial=0.0)),
             turn_error=float(np.max(np.abs(remaining.missing), initial=0.0)),
             outcome=text,
-            doing="; ".join([text, *self._obstructions(parts, remaining, there)]),
+            doing="; ".join([text, *self._obstruction_texts(parts, remaining, there)]),
         )
 
     def remaining(self, memory: MoveMemory, parts: Parts) -> RemainingMotion:
@@ -129,14 +129,14 @@ class Mover(TaskRules):
             aim[part] = target.place
             if target.angle is not None:
                 turned[part] = True
-                period = 2 * np.pi / max(self._types(parts)[part].symmetry, 1)
+                period = 2 * np.pi / max(self._part_types(parts)[part].symmetry, 1)
                 missing[part] = (target.angle - parts.angle[part] + period / 2) % period
                 missing[part] -= period / 2
         return RemainingMotion(row >= 0, aim, np.hypot(*(aim - parts.position).T), missing, turned)
 
     def request(self, parts: Parts, remaining: RemainingMotion) -> Targets:
         """Return the targets of M parts for the request to the solver."""
-        reach = np.array([part.reach_m for part in self._types(parts)])
+        reach = np.array([part.reach_m for part in self._part_types(parts)])
         left = np.maximum(remaining.distance, reach * np.abs(remaining.missing))
         left = np.where(remaining.requested, left, 0.0)
         counts = distance_weight(np.column_stack([left, 0 * left]))
@@ -151,11 +151,11 @@ class Mover(TaskRules):
             remaining.aim - band, remaining.aim + band, weight[:, None] * np.ones(2), gap, angles
         )
 
-    def _obstructions(
+    def _obstruction_texts(
         self, parts: Parts, remaining: RemainingMotion, there: np.ndarray
     ) -> list[str]:
         """Return a text for each part that occupies the target of another part."""
-        reach = np.array([part.reach_m for part in self._types(parts)])
+        reach = np.array([part.reach_m for part in self._part_types(parts)])
         texts = []
         for k in np.flatnonzero(remaining.requested & ~there):
             away = np.hypot(*(parts.position - remaining.aim[k]).T)
@@ -165,5 +165,5 @@ class Mover(TaskRules):
             texts += [f"{parts.ids[j]} is on the target of {name}" for j in np.flatnonzero(on)]
         return texts
 
-    def _types(self, parts: Parts) -> list[PartType]:
+    def _part_types(self, parts: Parts) -> list[PartType]:
         return [self.rig.part_type(part_class(name)) for name in parts.ids]

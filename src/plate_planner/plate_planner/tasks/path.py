@@ -53,7 +53,7 @@ class PolygonPath:
             corner = np.vstack([corner, corner[:1]])
         arc = np.append(0.0, np.cumsum(np.hypot(*np.diff(corner, axis=0).T)))
         profile = task.profile or ((0.0, task.speed), (1.0, task.speed))
-        return cls(corner, arc, task.speed, task.laps, _profile(profile, float(arc[-1])))
+        return cls(corner, arc, task.speed, task.laps, _make_profile(profile, float(arc[-1])))
 
     @property
     def length(self) -> float:
@@ -71,13 +71,13 @@ class PolygonPath:
 
         The position is the first corner for t < 0, and the end of the path after the last lap.
         """
-        along = self._along(t)
+        along = self._arc_length_at(t)
         return np.stack([np.interp(along, self.arc, axis) for axis in self.corner.T], axis=-1)
 
     def heading(self, t: np.ndarray | float) -> np.ndarray:
         """Return the direction of the path (..., 2) at the reference positions of the times t (...)
         [s]."""
-        edge = np.searchsorted(self.arc, self._along(t), side="right") - 1
+        edge = np.searchsorted(self.arc, self._arc_length_at(t), side="right") - 1
         edge = np.clip(edge, 0, len(self.arc) - 2)
         return np.asarray((np.diff(self.corner, axis=0) / np.diff(self.arc)[:, None])[edge])
 
@@ -92,7 +92,7 @@ class PolygonPath:
         there = np.interp(along, s, v)
         return float(t[i] + (along - s[i]) / _log_mean(v[i], there))
 
-    def _along(self, t: np.ndarray | float) -> np.ndarray:
+    def _arc_length_at(self, t: np.ndarray | float) -> np.ndarray:
         """Return the arc length from the start of the lap to the reference position (...) [m]. The
         end of a lap counts as the start of the next lap."""
         since = np.clip(np.asarray(t, dtype=float), 0, self.duration)
@@ -105,7 +105,7 @@ class PolygonPath:
         return np.asarray(s[i] + v[i] * since * _expm1_over(slope * since))
 
 
-def _profile(pairs: tuple[tuple[float, float], ...], length: float) -> np.ndarray:
+def _make_profile(pairs: tuple[tuple[float, float], ...], length: float) -> np.ndarray:
     """Return the array `PolygonPath.profile` (k, 3). `pairs` contains the entries of the profile:
     fraction of the length, and speed [m/s]."""
     fraction, speed = np.array(pairs).T

@@ -83,7 +83,9 @@ class Poser(TaskRules):
         poses = self.task.poses
         place = np.array([(np.nan, np.nan) if p.place is None else p.place for p in poses])
         offset = place[:, None] - parts.position
-        arc = np.array([self._reach(p.label) * self._missing(p, parts.angle) for p in poses])
+        arc = np.array(
+            [self._reach(p.label) * self._remaining_rotation(p, parts.angle) for p in poses]
+        )
         square = np.nan_to_num(np.sum(offset**2, axis=2)) + arc.reshape(len(poses), len(parts)) ** 2
         match = match_by_cost(tuple(pose.label for pose in poses), square, parts)
         for row in np.flatnonzero(np.isnan(place[:, 0])):
@@ -100,7 +102,7 @@ class Poser(TaskRules):
         away = np.hypot(*(memory.place[pose] - parts.position[part]).T)
         distance[part] = np.nan_to_num(away)
         for k, row in zip(pose, part, strict=True):
-            angle[row] = self._missing(self.task.poses[k], parts.angle[row])
+            angle[row] = self._remaining_rotation(self.task.poses[k], parts.angle[row])
         return distance, angle
 
     def count(self, memory: PoseMemory, parts: Parts) -> int:
@@ -156,7 +158,7 @@ class Poser(TaskRules):
         centre."""
         return self.rig.part_type(label).reach_m
 
-    def _missing(self, pose: Pose, angle: np.ndarray) -> np.ndarray:
+    def _remaining_rotation(self, pose: Pose, angle: np.ndarray) -> np.ndarray:
         """Return the rotations (...) [rad] that parts with the angles `angle` (...) [rad] still
         need. The goal is the nearest angle that is equivalent to the angle of the pose."""
         period = 2 * np.pi / max(self.rig.part_type(pose.label).symmetry, 1)

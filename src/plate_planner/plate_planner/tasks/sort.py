@@ -147,7 +147,7 @@ class Sorter(TaskRules):
         away = np.hypot(short[..., 0], short[..., 1])
         result = np.maximum(away, np.where(on_line, np.finfo(float).tiny, 0))
         result[..., ~np.any(sign, axis=1)] = np.nan
-        for rows, region, _ in self._binned(ids):
+        for rows, region, _ in self._parts_by_bin(ids):
             result[..., rows] = shapely.distance(region, shapely.points(position[..., rows, :]))
         return result
 
@@ -157,7 +157,7 @@ class Sorter(TaskRules):
         opposite corners, these corners determine the direction. Otherwise, the direction changes
         only if the opposite direction suits the present positions much better."""
         sign = self._signs(parts.ids)
-        if diagonal := _diagonal(sign):
+        if diagonal := _diagonal_sign(sign):
             return diagonal
         along = self._displacements(parts, sign)[:, 0] * sign[:, 0]
         above = float(np.sum(along * parts.position[:, 1])) / max(
@@ -174,7 +174,7 @@ class Sorter(TaskRules):
         line = (self.task.goal_fraction + MARGIN) * half
         displacement = self._displacements(parts, sign)
         low, high = np.where(sign > 0, line, -half), np.where(sign < 0, -line, half)
-        for rows, region, slot in self._binned(parts.ids):
+        for rows, region, slot in self._parts_by_bin(parts.ids):
             group = parts.take(rows)
             label = part_class(group.ids[0])
             place = slot[assign((label,) * len(slot), slot, group)]
@@ -191,7 +191,7 @@ class Sorter(TaskRules):
         # move to the right. Therefore a single rotating force field moves all these parts.
         max_lane = CROWDED_LANE if len(parts) > CROWD else LANE
         lane = max_lane * np.minimum(displacement[:, 0] / LANE_M, 1) * (sign[:, 0] != 0)
-        if not _diagonal(sign):
+        if not _diagonal_sign(sign):
             lane[sign[:, 1] != 0] = 0
         if np.all(sign[:, 0] >= 0) or np.all(sign[:, 0] <= 0):
             lane[:] = 0  # no lanes are needed if all parts move in one direction
@@ -218,7 +218,9 @@ class Sorter(TaskRules):
         signs = [(s.x, s.y) if (s := sides.get(part_class(i))) else (0, 0) for i in ids]
         return np.array(signs, dtype=float).reshape(-1, 2)
 
-    def _binned(self, ids: tuple[str, ...]) -> list[tuple[np.ndarray, shapely.Polygon, np.ndarray]]:
+    def _parts_by_bin(
+        self, ids: tuple[str, ...]
+    ) -> list[tuple[np.ndarray, shapely.Polygon, np.ndarray]]:
         """Return for each bin the indices of its parts, its outline, and its slots (k, 2) [m]."""
         label = np.array([part_class(i) for i in ids])
         found = [(np.flatnonzero(label == name), *bin_) for name, bin_ in self._bins.items()]
@@ -227,10 +229,10 @@ class Sorter(TaskRules):
     @cached_property
     def _bins(self) -> dict[str, tuple[shapely.Polygon, np.ndarray]]:
         bins = {k: v for k, v in self.task.regions.items() if isinstance(v, Bin)}
-        return {k: (shapely.Polygon(v.corner), slots(v, k, self.rig)) for k, v in bins.items()}
+        return {k: (shapely.Polygon(v.corner), bin_slots(v, k, self.rig)) for k, v in bins.items()}
 
 
-def _diagonal(sign: np.ndarray) -> float:
+def _diagonal_sign(sign: np.ndarray) -> float:
     """Check whether the regions of all parts are two opposite corners. Return 1 for the bottom left
     and the top right corner, -1 for the other two corners, and 0 for other regions. `sign` (M, 2)
     contains the signs of the sides of each part."""
@@ -240,16 +242,16 @@ def _diagonal(sign: np.ndarray) -> float:
     return float(side[0])
 
 
-def slots(region: Bin, label: str, rig: Rig) -> np.ndarray:
+def bin_slots(region: Bin, label: str, rig: Rig) -> np.ndarray:
     """Return places (n, 2) [m] for parts of a class in a bin. The places have the distance `wall_m`
     from the plate's edges. If the bin has no such places, the shorter distance `min_m` is
     used."""
     margin = rig.edge_margin(label)
-    behind = _grid(region, margin.wall_m, rig)
-    return behind if len(behind) else _grid(region, margin.min_m, rig)
+    behind = _grid_slots(region, margin.wall_m, rig)
+    return behind if len(behind) else _grid_slots(region, margin.min_m, rig)
 
 
-def _grid(region: Bin, edge_m: float, rig: Rig) -> np.ndarray:
+def _grid_slots(region: Bin, edge_m: float, rig: Rig) -> np.ndarray:
     """Return places (n, 2) [m] in a bin. The places form a square grid, at least `edge_m` from the
     plate's edges."""
     outline = shapely.Polygon(region.corner)
