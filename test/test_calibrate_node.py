@@ -88,7 +88,7 @@ def test_what_calibrate_has_learned_is_used_from_the_next_configure_on(monkeypat
             if tick % 5 == 0:
                 driver.transports.current.poll()
             if tick % 20 == 0:
-                driver._watch()
+                driver._on_watch_timer()
         return np.array(measured)
 
     def enable() -> None:

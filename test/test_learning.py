@@ -61,7 +61,7 @@ def test_a_new_cycle_every_200_ms_is_right_too(learned):
 def test_what_is_measured_later_corrects_it(learned):
     """Cycles that are repeated, each a new one: a plate that has become 10 % softer is found."""
     frequency = np.arange(1, 30) / 0.2
-    exact = learned[0]._at(learned[0].matrix, frequency)
+    exact = learned[0]._interpolate(learned[0].matrix, frequency)
     response = Response(frequency, 1.1 * exact, learned[0].lever)
     assert steady_error(random_cycle(7), response.command(random_cycle(7))) > 0.08
     t = np.arange(512) * 0.2 / 512

@@ -225,7 +225,7 @@ class MotionCheck:
     def tick(self) -> None:
         """Call the node's timer callback. For the simulator, also check the played motion."""
         if self.verdict.node == "driver":
-            self.node._watch()
+            self.node._on_watch_timer()
         elif self.verdict.node == "simulator":
             self.node._begin_cycle()
             self._check(self.node._timeline.cycle)

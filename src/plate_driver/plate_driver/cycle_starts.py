@@ -90,21 +90,21 @@ class CycleStarts:
         if not new.table:
             if new.time < self.until:
                 return seen, None, ""
-            return seen._with_start(new, self.until, period), self.until, ""
+            return seen._add_start(new, self.until, period), self.until, ""
         if new.playing is None:
             return seen, None, ""
-        slip, problem = self._problem(new, new.playing.cycle.period, now)
+        slip, problem = self._check_telemetry(new, new.playing.cycle.period, now)
         seen = replace(seen, slip=slip)
         same = new.table == self.table and new.began - self.began < SAME_START * period
         if problem or same:
             return seen, None, problem
-        return seen._with_start(new, new.began, new.playing.length), new.began, ""
+        return seen._add_start(new, new.began, new.playing.length), new.began, ""
 
-    def _with_start(self, new: Measured, began: float, length: float) -> CycleStarts:
+    def _add_start(self, new: Measured, began: float, length: float) -> CycleStarts:
         until = max(began + length, new.time)
         return replace(self, table=new.table, began=began, until=until)
 
-    def _problem(self, new: Measured, period: float, now: float) -> tuple[float, str]:
+    def _check_telemetry(self, new: Measured, period: float, now: float) -> tuple[float, str]:
         """Return the new value of `slip` [s] and the reason why the telemetry is inconsistent. The
         reason is empty if the telemetry is consistent.
 

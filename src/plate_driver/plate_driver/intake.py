@@ -134,7 +134,7 @@ class CycleIntake:
             raise NotReadyError(f"the driver is {status.text}")
         try:
             check_length(data, size, min(MAX_KNOTS, transport.max_knots))
-            fit = self._send(*self._decode(data), transport, number)
+            fit = self._send_cycle(*self._decode(data), transport, number)
         except PlateError as error:
             self._playback.count_refused()
             self.refusal = str(error)
@@ -142,7 +142,7 @@ class CycleIntake:
         self.refusal = ""
         return fit
 
-    def _send(
+    def _send_cycle(
         self, cycle: PlateCycle, stamp_ns: int, transport: TransportThread, number: int
     ) -> Fit:
         now = self._clocks.playback_s()

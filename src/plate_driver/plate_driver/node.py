@@ -175,7 +175,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         # The steady clock also advances while simulated time is paused.
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._diagnostics = Diagnostics(
-            self, self._find, self._values, lambda: "plate", self._report.reported
+            self, self._diagnose, self._diagnostic_values, lambda: "plate", self._report.reported
         )
         with urgent():  # the threads of this node's DDS participant inherit the high priority
             self._safety = SafetyNode(self, self.transports, self.latch, lambda: self.status)
@@ -208,7 +208,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         service = self.create_service(Trigger, "calibrate", self._on_calibrate)
         self.keep(self.destroy_service, service)
         self._friction.configure()
-        timers = [(WATCH_PERIOD_S, self._watch)]
+        timers = [(WATCH_PERIOD_S, self._on_watch_timer)]
         if options.state_rate > 0:
             timers.append((1 / options.state_rate, self._publish_state))
         for t, tick in timers:
@@ -283,7 +283,11 @@ class DriverNode(SafeLifecycleNode[Options]):
         """Return the transport that the parameters define. The transport is not open yet."""
         check_transport(self.options.transport, self.options.port)
         context = TransportContext(
-            rig, self._play, time.monotonic, asdict(self.options), time.time_ns() % 2**32
+            rig,
+            self._send_to_simulator,
+            time.monotonic,
+            asdict(self.options),
+            time.time_ns() % 2**32,
         )
         return make_transport(self.options.transport, context)
 
@@ -295,7 +299,7 @@ class DriverNode(SafeLifecycleNode[Options]):
     def _publish_table(self, table: MotorTable) -> None:
         self._setpoints.publish(table_to_msg(self.playback.rig, table))
 
-    def _play(self, table: MotorTable) -> None:
+    def _send_to_simulator(self, table: MotorTable) -> None:
         """Publish a table for the simulator, unless the table has become too old."""
         msg = table_to_msg(self.playback.rig, table)
         table.check_age(time.monotonic())
@@ -337,7 +341,7 @@ class DriverNode(SafeLifecycleNode[Options]):
             if fit.factor < MIN_FACTOR:
                 self.get_logger().warning(fit.summary, throttle_duration_sec=WARN_S)
 
-    def _watch(self) -> None:
+    def _on_watch_timer(self) -> None:
         """Process measurements and problems of the transport, and detect missing cycles."""
         transport = self.transports.current
         if transport is None:
@@ -354,9 +358,9 @@ class DriverNode(SafeLifecycleNode[Options]):
         if self.playback.guard.table is None:  # no table that can be played was sent
             self._problems.clear_unplayed()
         if self.active:
-            self._continue(transport)
+            self._continue_activity(transport)
 
-    def _continue(self, transport: TransportThread) -> None:
+    def _continue_activity(self, transport: TransportThread) -> None:
         """Continue a calibration or a measurement of friction, or check whether cycles arrive."""
         status, now = self.intake.observe(), self.clocks.playback_s()
         ready = status.state in (DriverState.READY, DriverState.CALIBRATING)
@@ -439,10 +443,10 @@ class DriverNode(SafeLifecycleNode[Options]):
         negative value could occur because a simulated clock may still be at 0."""
         return max(0, self.get_clock().now().nanoseconds - max(0, round(1e9 * age_s)))
 
-    def _find(self, now: float) -> Finding:
+    def _diagnose(self, now: float) -> Finding:
         return self._report.finding(self.status, self.failure)
 
-    def _values(self) -> dict[str, str]:
+    def _diagnostic_values(self) -> dict[str, str]:
         return self._report.values(self.status, self.transports.current)
 
 

@@ -32,7 +32,7 @@ def check_length(data: bytes, size: int, max_points: int) -> None:
     CycleError
         If the message is too long. The text states the actual and the allowed number.
     """
-    points = _points(data)
+    points = _read_point_count(data)
     if points is not None and points > max_points:
         raise CycleError(f"plate_cycle: {points} points, allowed: at most {max_points}")
     max_size = HEAD_BYTES + POINT_BYTES * max_points
@@ -42,32 +42,32 @@ def check_length(data: bytes, size: int, max_points: int) -> None:
         )
 
 
-def _points(data: bytes) -> int | None:
+def _read_point_count(data: bytes) -> int | None:
     """Return the number of points. None if the number cannot be read from `data`."""
     if len(data) < 4 or data[0] != 0 or data[1] not in (0, 1):
         return None
     order = "<" if data[1] == 1 else ">"
     body, at = memoryview(data)[4:], 8  # after the stamp
 
-    def number() -> int:
+    def read_number() -> int:
         nonlocal at
         at += -at % 4
         value: int = struct.unpack_from(order + "I", body, at)[0]
         at += 4
         return value
 
-    def text() -> None:
+    def skip_text() -> None:
         nonlocal at
-        length = number()
+        length = read_number()
         at += length
 
     try:
-        text()  # frame_id
-        names = number()
+        skip_text()  # frame_id
+        names = read_number()
         if names > MAX_NAMES:
             return None
         for _ in range(names):
-            text()
-        return number()
+            skip_text()
+        return read_number()
     except struct.error:
         return None

@@ -71,7 +71,7 @@ class TransportOwner:
         """Open the transport, and close a temporary transport."""
         with self._changing:
             self._close_temporary()
-            self.current = self._start(rig)
+            self.current = self._start_transport(rig)
             return self.current
 
     def close(self) -> None:
@@ -128,7 +128,7 @@ class TransportOwner:
             time.sleep(OFF_PERIOD_S)
         return ""
 
-    def _start(self, rig: Rig) -> TransportThread:
+    def _start_transport(self, rig: Rig) -> TransportThread:
         """Open a transport and start its thread."""
         made = self._make(rig)
         made.open()
@@ -145,7 +145,7 @@ class TransportOwner:
             if self.current is not None:
                 return self.current, self.current.stop(cut)
             if self.temporary is None:
-                self.temporary = self._start(self._read_rig())
+                self.temporary = self._start_transport(self._read_rig())
                 keep = self._keep_temporary
                 threading.Thread(target=keep, name="temporary", daemon=True).start()
             return self.temporary, self.temporary.stop(cut)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from plate_core import PlateCycle
-from plate_driver.setpoints.motor_table import reversed_in_time, with_fades
+from plate_driver.setpoints.motor_table import add_fades, reverse_time
 
 PERIOD = 0.1
 
@@ -33,14 +33,14 @@ def at_rest() -> PlateCycle:
 
 def test_cycle_from_rest_is_unchanged():
     cycle = at_rest()
-    assert with_fades(cycle) is cycle
+    assert add_fades(cycle) is cycle
     rest = PlateCycle.rest(PERIOD)
-    assert with_fades(rest, repeats=3) is rest
+    assert add_fades(rest, repeats=3) is rest
 
 
 @pytest.mark.parametrize("repeats", [1, 3])
 def test_begins_and_ends_at_home_at_rest(repeats):
-    made = with_fades(foreign(), repeats)
+    made = add_fades(foreign(), repeats)
     assert made.starts_at_rest
     assert made.period == pytest.approx((2 + repeats) * PERIOD)
     for function in (made.pose, made.twist, made.accel):
@@ -50,7 +50,7 @@ def test_begins_and_ends_at_home_at_rest(repeats):
 @pytest.mark.parametrize("repeats", [1, 3])
 def test_plays_the_foreign_motion(repeats):
     cycle = foreign()
-    made = with_fades(cycle, repeats)
+    made = add_fades(cycle, repeats)
     t = np.linspace(0, PERIOD, 200)[1:-1]
     for i in range(repeats):
         later = t + (1 + i) * PERIOD
@@ -61,7 +61,7 @@ def test_plays_the_foreign_motion(repeats):
 
 def test_fades_are_smoothsteps_times_the_motion():
     cycle = foreign()
-    made = with_fades(cycle)
+    made = add_fades(cycle)
     t = np.linspace(0, PERIOD, 500)[1:-1]
     u = (t / PERIOD)[:, None]
     rise = 10 * u**3 - 15 * u**4 + 6 * u**5
@@ -73,7 +73,7 @@ def test_fades_are_smoothsteps_times_the_motion():
 @pytest.mark.parametrize("knots", [8, 24, 48, 100])
 def test_continuous_everywhere(knots):
     # At the knots no jump; everywhere, each state is the derivative of the one before.
-    made = with_fades(foreign(1, knots), 2)
+    made = add_fades(foreign(1, knots), 2)
     inner = made.times[1:-1]
     step = 1e-10
     scales = [np.max(np.abs(f(made.times))) for f in (made.pose, made.twist, made.accel)]
@@ -89,12 +89,12 @@ def test_continuous_everywhere(knots):
 
 
 def test_few_knots_are_made_more():
-    assert len(with_fades(foreign(2, 6)).times) > 2 * 48
+    assert len(add_fades(foreign(2, 6)).times) > 2 * 48
 
 
 def test_backwards():
     cycle = foreign(3)
-    back = reversed_in_time(cycle)
+    back = reverse_time(cycle)
     t = np.linspace(0, PERIOD, 100)
     np.testing.assert_allclose(back.pose(t), cycle.pose(PERIOD - t), atol=1e-12)
     np.testing.assert_allclose(back.twist(t), -cycle.twist(PERIOD - t), atol=1e-10)

@@ -173,7 +173,7 @@ def test_images_count_from_the_end_of_a_push_that_begins_late(driven):
     begin(PlateCycle.rest(0.1))
     start(driven)
     plate.pass_time(1.0)
-    sent = server._plays
+    sent = server._running_cycle
     assert sent is not None
     plate.pass_time(3.0)  # far longer than the push lasts: it has not begun
     assert not server._images
@@ -181,7 +181,7 @@ def test_images_count_from_the_end_of_a_push_that_begins_late(driven):
     plate.pass_time(sum(part.period for part in sent.parts))
     assert not server._images
     plate.pass_time(2.0)
-    assert server._plays is not sent  # the next one was sent
+    assert server._running_cycle is not sent  # the next one was sent
     plate.pass_time(8.0)
     assert said(driven).state == Friction.FAILED
     assert said(driven).text == "friction: a push has not begun within 5 s"

@@ -19,10 +19,10 @@ from plate_core.motion import plate_state
 from ..transports import Measured
 from .response import (
     Response,
-    excitation,
     fit_harmonics,
     harmonics,
-    identified,
+    identify_response,
+    make_excitation,
     plate_amplitudes,
     pose_harmonics,
 )
@@ -98,7 +98,7 @@ class Calibration:
         """Return a new calibration."""
         rng = np.random.default_rng(seed)
         axes = range(len(AXES))
-        return cls(rig, tuple(excitation(rig, k, PERIOD_S, COUNT, ACCEL, rng) for k in axes))
+        return cls(rig, tuple(make_excitation(rig, k, PERIOD_S, COUNT, ACCEL, rng) for k in axes))
 
     @property
     def cycle(self) -> PlateCycle | None:
@@ -150,7 +150,9 @@ class Calibration:
     def response(self) -> Response:
         """The plate's response. The result is available at the end of the calibration."""
         frequency = np.arange(1, COUNT + 1) / PERIOD_S
-        return identified(self.rig, frequency, np.array(self.commanded), np.array(self.measured))
+        return identify_response(
+            self.rig, frequency, np.array(self.commanded), np.array(self.measured)
+        )
 
 
 @dataclass(frozen=True)
@@ -207,11 +209,11 @@ class Experiment:
         kept = time > time[-1] - self.calibration.measure * PERIOD_S
         time, q, qdd = time[kept] - time[kept][0], q[kept], qdd[kept]
         played = self.played or self.cycle
-        time = aligned(self.calibration.rig, played, time, q)
+        time = align_times(self.calibration.rig, played, time, q)
         return self.calibration.with_experiment(time, q, qdd, played)
 
 
-def aligned(rig: Rig, cycle: PlateCycle, t: np.ndarray, q: np.ndarray) -> np.ndarray:
+def align_times(rig: Rig, cycle: PlateCycle, t: np.ndarray, q: np.ndarray) -> np.ndarray:
     """Convert times (n,) [s] with any origin to times since the start of a calibration cycle [s].
 
     The plate follows the slowest harmonics almost without delay, so their phase gives the start of

@@ -101,7 +101,7 @@ class Response:
     def _scale(self) -> np.ndarray:
         return np.array([1.0, 1.0, self.lever])
 
-    def _at(self, matrices: np.ndarray, frequency: np.ndarray) -> np.ndarray:
+    def _interpolate(self, matrices: np.ndarray, frequency: np.ndarray) -> np.ndarray:
         """Interpolate matrices in frequency by a cubic spline. At frequency 0, the spline has the
         real part of the first matrix."""
         # SciPy is imported here, because an import at the top would double the start time of the
@@ -123,27 +123,27 @@ class Response:
             return cycle
         frequency = np.arange(count + 1) / cycle.period
         requested = pose_harmonics(cycle, count) * self._scale
-        inverse = self._at(self.inverse, frequency)
+        inverse = self._interpolate(self.inverse, frequency)
         more = (np.einsum("kij,kj->ki", inverse, requested) - requested) / self._scale
         strong = np.abs(requested * frequency[:, None] ** 2)
         stress = 1 + STRESS * strong / np.max(strong)
-        more = closed_at_rest(frequency, more, stress * self._costs(frequency))
+        more = closed_at_rest(frequency, more, stress * self._squared_gains(frequency))
         pieces = max(len(cycle.times) - 1, KNOTS_PER_WAVE * count)
         t = np.linspace(0, cycle.period, pieces + 1)
-        added = _motion(frequency, more, t)
+        added = _evaluate_harmonics(frequency, more, t)
         known = cycle.pose(t), cycle.twist(t), cycle.accel(t)
         states = [old + new for old, new in zip(known, added, strict=True)]
         for state in states:
             state[[0, -1]] = 0.0
         return PlateCycle.from_knots(t, *states)
 
-    def _costs(self, frequency: np.ndarray) -> np.ndarray:
+    def _squared_gains(self, frequency: np.ndarray) -> np.ndarray:
         """Return the squared gain (k, 3) from a command's pose to the plate's acceleration.
 
         The mean pose (frequency 0) is treated like a motion at the frequency of the plate's
         strongest response, because it changes from cycle to cycle.
         """
-        gain = np.sum(np.abs(self._at(self.matrix, frequency)) ** 2, axis=1)
+        gain = np.sum(np.abs(self._interpolate(self.matrix, frequency)) ** 2, axis=1)
         own = self.frequency[np.argmax(np.linalg.norm(self.matrix, axis=(1, 2)))]
         rate = 2 * np.pi * np.where(frequency > 0, frequency, own)
         return np.asarray(np.maximum(gain, FAINT**2) * rate[:, None] ** 4)
@@ -169,7 +169,7 @@ class Response:
         return replace(self, matrix=self.matrix + step)
 
 
-def identified(
+def identify_response(
     rig: Rig, frequency: np.ndarray, commanded: np.ndarray, measured: np.ndarray
 ) -> Response:
     """Return the response that fits several experiments by least squares.
@@ -288,7 +288,7 @@ def closed_at_rest(frequency: np.ndarray, amplitude: np.ndarray, cost: np.ndarra
     return new
 
 
-def excitation(
+def make_excitation(
     rig: Rig, axis: int, period: float, count: int, accel: float, rng: np.random.Generator
 ) -> PlateCycle:
     """Return a cycle that shakes one axis at all harmonics and begins at rest.
@@ -317,13 +317,15 @@ def excitation(
         amplitude /= float(np.hypot(*rig.plate.half))
     amplitude = closed_at_rest(frequency, amplitude, np.tile(rate**4, 3))
     t = np.linspace(0, period, KNOTS_PER_WAVE * count + 1)
-    states = _motion(frequency, amplitude, t)
+    states = _evaluate_harmonics(frequency, amplitude, t)
     for state in states:
         state[[0, -1]] = 0.0
     return PlateCycle.from_knots(t, *states)
 
 
-def _motion(frequency: np.ndarray, amplitude: np.ndarray, t: np.ndarray) -> list[np.ndarray]:
+def _evaluate_harmonics(
+    frequency: np.ndarray, amplitude: np.ndarray, t: np.ndarray
+) -> list[np.ndarray]:
     """Return pose, twist and acceleration (n, 3) at times t (n,) from pose amplitudes (k, 3)."""
     rate = 2j * np.pi * frequency[:, None]
     waves = np.exp(np.outer(t, rate[:, 0]))

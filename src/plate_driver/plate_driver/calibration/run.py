@@ -111,7 +111,7 @@ class CalibrationRun:
                 self._begin_experiment(transport, calibration, now)
                 return
             save_response(self._path, calibration.response)
-            self._end(
+            self._end_run(
                 f"done: {self._path} is written, and used after the next configure",
                 now,
                 failed=False,
@@ -122,7 +122,7 @@ class CalibrationRun:
     def fail(self, reason: str, now: float) -> None:
         """End a running calibration and discard its measurements. `reason` becomes its result."""
         if self._experiment is not None:
-            self._end(f"failed: {reason}", now, failed=True)
+            self._end_run(f"failed: {reason}", now, failed=True)
 
     def cancel(self) -> None:
         """End a running calibration without a result."""
@@ -140,7 +140,7 @@ class CalibrationRun:
         self._playback.guard = guard.after_experiment(before)
         self._log(f"calibration: {experiment.calibration.progress}", False)
 
-    def _end(self, text: str, now: float, failed: bool) -> None:
+    def _end_run(self, text: str, now: float, failed: bool) -> None:
         self._outcome, self.failed = text, failed
         self._log(f"calibration {text}", failed)
         self._experiment = None

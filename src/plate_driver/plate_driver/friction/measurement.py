@@ -404,23 +404,27 @@ class FrictionMeasurement:
         rest = replace(rest, place={name: rest.place[name] for name in ids})
         _check_gaps(self.rig, rest, TOUCH_M)
         curves = [t.curve for t in self.trials if t.push.accel == push.accel]
-        curve = curves[0] if curves else _curve(push, self.rig.friction.gravity)
+        curve = curves[0] if curves else _slip_curve(push, self.rig.friction.gravity)
         trial = Trial(push, self.stage, lag, place, error, curve)
         if self.stage is Stage.DISTANCE:
             _check_slips(trial, self.rig.friction.gravity)
         trials = (*self.trials, trial)
         new = replace(self, rest=rest, trials=trials, todo=self.todo[1:], notes=notes)
         if self.stage is Stage.SEARCH:
-            return new._searched()
-        if self.stage is Stage.ONSET and all(new._held_and_slid(name)[1] for name in ids):
+            return new._after_search_push()
+        if self.stage is Stage.ONSET and all(new._find_onset_trials(name)[1] for name in ids):
             return replace(new, stage=Stage.DONE, todo=())
         if not new.todo:
-            return new._onset() if self.stage is Stage.DISTANCE else replace(new, stage=Stage.DONE)
+            return (
+                new._plan_onset_pushes()
+                if self.stage is Stage.DISTANCE
+                else replace(new, stage=Stage.DONE)
+            )
         return new
 
     # Stages
 
-    def _searched(self) -> FrictionMeasurement:
+    def _after_search_push(self) -> FrictionMeasurement:
         """Return the measurement after a search push. The next push is another search push, or the
         first push of the next stage."""
         trial, gravity = self.trials[-1], self.rig.friction.gravity
@@ -450,7 +454,7 @@ class FrictionMeasurement:
                 new = replace(new, notes=new.notes + notes, rest=replace(new.rest, place=place))
                 unknown = []
         if not unknown:
-            return new._distance()
+            return new._plan_distance_pushes()
         if accel > self.max_accel:
             raise PlateError(
                 f"friction: {', '.join(unknown)} did not slide at {trial.push.accel:.1f} m/s2, and "
@@ -460,7 +464,7 @@ class FrictionMeasurement:
         push = make_push(self.rig, 0, -trial.push.sign, accel, new.slow)
         return replace(new, todo=(push,))
 
-    def _distance(self) -> FrictionMeasurement:
+    def _plan_distance_pushes(self) -> FrictionMeasurement:
         """Return the measurement with the distance pushes."""
         gravity = self.rig.friction.gravity
         typical = float(np.median(list(self.guess.values())))
@@ -485,7 +489,7 @@ class FrictionMeasurement:
             step = float(np.max(slip(there, mu, 0.0, gravity)))
             # Parts slip in the direction opposite to the push. Therefore use the clearance in this
             # direction.
-            free = {sign: self._clearance(axis, -sign) for sign in (1, -1)}
+            free = {sign: self._min_wall_distance(axis, -sign) for sign in (1, -1)}
             sign = max(free, key=lambda one: free[one])
             count = int(np.clip(min(free[sign], TRAVEL_M) / max(step, 1e-6), 1, MAX_STEPS))
             back = make_push(self.rig, axis, -sign, accel, self.slow)
@@ -502,7 +506,7 @@ class FrictionMeasurement:
             self, stage=Stage.DISTANCE, todo=tuple(todo), rest=rest, notes=self.notes + notes
         )
 
-    def _clearance(self, axis: int, sign: int) -> float:
+    def _min_wall_distance(self, axis: int, sign: int) -> float:
         """Return the minimum distance of the parts from the wall along an axis [m]."""
         return min(
             float(
@@ -513,10 +517,10 @@ class FrictionMeasurement:
             for name, place in self.rest.place.items()
         )
 
-    def _onset(self) -> FrictionMeasurement:
+    def _plan_onset_pushes(self) -> FrictionMeasurement:
         """Return the measurement with the onset pushes."""
         gravity = self.rig.friction.gravity
-        mu = [self._dynamic(name)[0] for name in self.rest.place]
+        mu = [self._fit_dynamic_friction(name)[0] for name in self.rest.place]
         accel, last = ONSET_FROM * min(mu) * gravity, ONSET_TO * max(mu) * gravity
         todo: list[Push] = []
         while accel < min(last, self.max_accel):
@@ -527,29 +531,29 @@ class FrictionMeasurement:
 
     # Evaluation of pushes
 
-    def _of(self, name: str, stage: Stage) -> list[Trial]:
+    def _trials_of(self, name: str, stage: Stage) -> list[Trial]:
         return [t for t in self.trials if t.stage is stage and name in t.lag]
 
-    def _local(self, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _local_friction(self, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return mu of a part in each distance push (n,), its standard errors (n,), and the
         distances (n,) between the part's place in each push and its current place [m]."""
-        trials, here = self._of(name, Stage.DISTANCE), self.rest.place[name]
+        trials, here = self._trials_of(name, Stage.DISTANCE), self.rest.place[name]
         values, errors = np.array([trial.local(name) for trial in trials]).T
         return values, errors, np.array([np.hypot(*(t.place[name] - here)) for t in trials])
 
-    def _dynamic(self, name: str) -> tuple[float, float]:
+    def _fit_dynamic_friction(self, name: str) -> tuple[float, float]:
         """Return mu of a part by least squares over its distance pushes, and its standard error."""
         # SciPy is imported here, because an import at the top would double the start time of the
         # driver.
         from scipy.optimize import least_squares
 
-        trials = self._of(name, Stage.DISTANCE)
+        trials = self._trials_of(name, Stage.DISTANCE)
 
-        def misses(mu: np.ndarray) -> np.ndarray:
+        def lag_errors(mu: np.ndarray) -> np.ndarray:
             return np.array([(t.lag_at(mu[0]) - t.lag[name]) / t.error for t in trials])
 
-        local, errors, _ = self._local(name)
-        fit = least_squares(misses, [float(np.median(local))], diff_step=1e-3)
+        local, errors, _ = self._local_friction(name)
+        fit = least_squares(lag_errors, [float(np.median(local))], diff_step=1e-3)
         # The measured position between two pushes affects the lags of both pushes. Therefore the
         # errors of both lags are correlated. The errors have opposite signs if both pushes have the
         # same direction, and equal signs otherwise.
@@ -564,32 +568,34 @@ class FrictionMeasurement:
         uneven = max(0.0, float(np.var(local, ddof=1) - np.mean(errors**2))) / len(trials)
         return float(fit.x[0]), float(np.sqrt(noise + uneven))
 
-    def _held_and_slid(self, name: str) -> tuple[Trial | None, Trial | None]:
+    def _find_onset_trials(self, name: str) -> tuple[Trial | None, Trial | None]:
         """Return the last onset push in which a part did not slide, and the first onset push in
         which it slid. If there is no such push, the value is None."""
         held = None
-        for trial in self._of(name, Stage.ONSET):
-            if trial.lag[name] > _visible(trial):
+        for trial in self._trials_of(name, Stage.ONSET):
+            if trial.lag[name] > _min_visible_slip(trial):
                 return held, trial
             held = trial
         return held, None
 
-    def _static_ratio(self, name: str) -> float:
+    def _estimate_static_ratio(self, name: str) -> float:
         """Return the ratio of static to dynamic friction of a part. The result is NaN if the start
         of sliding was not observed. If a part did not slide in a push, mu_s g of the part exceeds
         the push's acceleration. This conclusion is used only if the part would have slid visibly
         with mu_s = mu.
         """
-        held, slid = self._held_and_slid(name)
+        held, slid = self._find_onset_trials(name)
         if slid is None:
             return np.nan
-        local, _, away = self._local(name)
-        along = [trial.push.axis == slid.push.axis for trial in self._of(name, Stage.DISTANCE)]
+        local, _, away = self._local_friction(name)
+        along = [
+            trial.push.axis == slid.push.axis for trial in self._trials_of(name, Stage.DISTANCE)
+        ]
         # Use only pushes along the same axis, because friction may differ along x and y.
         local, away = local[along], away[along]
         mu = float(np.mean(local[away <= np.min(away) + HERE_M]))
         lower = grip = mu * self.rig.friction.gravity
-        if held is not None and held.lag_at(mu) > _visible(held):
+        if held is not None and held.lag_at(mu) > _min_visible_slip(held):
             lower = max(lower, held.push.accel)
         return max(1.0, float(np.sqrt(lower * max(slid.push.accel, grip))) / grip)
 
@@ -598,11 +604,11 @@ class FrictionMeasurement:
         """Result of the measurement. The result is available at the end of the measurement."""
         parts, along, weights = [], [], []
         for name in self.rest.place:
-            mu, error = self._dynamic(name)
-            local, errors, _ = self._local(name)
+            mu, error = self._fit_dynamic_friction(name)
+            local, errors, _ = self._local_friction(name)
             along.append(float(np.var(local, ddof=1) - np.mean(errors**2)) / mu**2)
             weights.append(len(local) - 1)
-            ratio = self._static_ratio(name)
+            ratio = self._estimate_static_ratio(name)
             parts.append(PartFriction(name, self.rest.place[name], mu, error, ratio))
         values = np.array([part.mu for part in parts])
         errors = np.array([part.error for part in parts])
@@ -616,7 +622,7 @@ class FrictionMeasurement:
         width = np.log(ONSET_FACTOR) / np.sqrt(12)
         deviation = float(np.std(ratios, ddof=1)) if len(ratios) > 1 else 0.0
         static_error = float(np.hypot(width, deviation / np.sqrt(max(1, len(ratios)))))
-        notes = self.notes + self._types(parts) + self._axes()
+        notes = self.notes + self._type_note(parts) + self._axis_note()
         if len(ratios) and ratios.size < count:
             notes += (f"static friction was measured for {len(ratios)} of {count} parts",)
         return FrictionResult(
@@ -625,7 +631,7 @@ class FrictionMeasurement:
             static_error if len(ratios) else np.nan, notes,
         )  # fmt: skip
 
-    def _types(self, parts: Sequence[PartFriction]) -> tuple[str, ...]:
+    def _type_note(self, parts: Sequence[PartFriction]) -> tuple[str, ...]:
         """Return a note if mu differs between types."""
         kinds: dict[str, list[float]] = {}
         for part in parts:
@@ -643,12 +649,12 @@ class FrictionMeasurement:
         listed = ", ".join(f"{kind} {mu:.3f}" for kind, mu in sorted(means.items()))
         return (f"mu differs between types: {listed}",)
 
-    def _axes(self) -> tuple[str, ...]:
+    def _axis_note(self) -> tuple[str, ...]:
         """Return a note if mu differs between x and y."""
         pairs = []
         for name in self.rest.place:
-            axis = np.array([trial.push.axis for trial in self._of(name, Stage.DISTANCE)])
-            local, _, _ = self._local(name)
+            axis = np.array([trial.push.axis for trial in self._trials_of(name, Stage.DISTANCE)])
+            local, _, _ = self._local_friction(name)
             pairs.append([np.mean(local[axis == k]) for k in (0, 1)])
         x, y = np.mean(pairs, axis=0)
         apart = np.diff(pairs)[:, 0]
@@ -682,7 +688,7 @@ def rig_mu(rig: Rig, result: FrictionResult) -> float:
     return float(np.mean(values))
 
 
-def _visible(trial: Trial) -> float:
+def _min_visible_slip(trial: Trial) -> float:
     """Return the minimum measured slip [m] that shows that a part has slid."""
     return max(MIN_SLIP_M, NOISE_FACTOR * trial.error)
 
@@ -712,7 +718,7 @@ def _check_slips(trial: Trial, gravity: float) -> None:
             )
 
 
-def _curve(push: Push, gravity: float) -> np.ndarray:
+def _slip_curve(push: Push, gravity: float) -> np.ndarray:
     """Return an array (2, n) with values of mu in ascending order, and the slip in a push for each
     value [m]."""
     grid = push.accel / gravity * np.geomspace(1 / RANGE, 1, CURVE)

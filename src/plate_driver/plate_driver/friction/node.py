@@ -94,13 +94,13 @@ class FrictionServer:
         self._driver, self._playback, self._transports = driver, playback, transports
         self._intake, self._latch, self._clocks, self._status = intake, latch, clocks, status
         self._result: FrictionResult | None = None
-        self._end()
+        self._reset()
 
-    def _end(self) -> None:
+    def _reset(self) -> None:
         self._running = False
         self._measurement: FrictionMeasurement | None = None
         self._played: Push | None = None
-        self._plays: PlateCycle | None = None
+        self._running_cycle: PlateCycle | None = None
         # Images with this stamp [ns] or a later stamp show parts at rest. None if this time is
         # unknown.
         self._after_ns: int | None = None
@@ -147,11 +147,11 @@ class FrictionServer:
         elif self._intake.task_runs:
             response.message = "a task runs, allowed: no task; end it with stop"
         else:
-            self._end()
+            self._reset()
             self._result, self._stops = None, self._latch.number
             self._running, self._since = True, self._clocks.playback_s()
             self._started = self._after_ns = self._driver.get_clock().now().nanoseconds
-            self._publish(Friction.RUNNING, "waiting for images of parts at rest", 0.0)
+            self._publish_status(Friction.RUNNING, "waiting for images of parts at rest", 0.0)
             response.success, response.message = (
                 True,
                 "started; the topic friction reports progress and result",
@@ -198,7 +198,7 @@ class FrictionServer:
     def _on_start(self, msg: JointTrajectory) -> None:
         """Record the start of a push, which determines the end of the push."""
         self._starts_received = True
-        push = self._plays
+        push = self._running_cycle
         if push is None or self._after_ns is not None:
             return
         try:
@@ -223,7 +223,7 @@ class FrictionServer:
                     "friction: simulated time has stopped, allowed: time that advances; check "
                     "that the simulator is active. In lockstep, friction cannot be measured"
                 )
-            if self._plays is not None:
+            if self._running_cycle is not None:
                 guard = self._playback.guard
                 over_s = now - guard.sent_at - guard.lasts_s
                 if over_s > SETTLE_S and not self._starts_received:
@@ -232,12 +232,12 @@ class FrictionServer:
                     raise PlateError(f"friction: a push has not begun within {LATE_S:g} s")
                 if over_s > SETTLE_S and self._after_ns is not None:
                     self._playback.rest(self._clocks.playback_s())
-                    self._plays, self._since = None, now
+                    self._running_cycle, self._since = None, now
                 return
             if len(self._images) >= IMAGES:
                 rest = Rest.of(self._images[-IMAGES:])
                 if rest is not None:
-                    self._step(rest, now)
+                    self._send_next_push(rest, now)
                     return
                 self._images = self._images[-IMAGES + 1 :]
             if now - self._since > MAX_WAIT_S:
@@ -250,7 +250,7 @@ class FrictionServer:
         except PlateError as error:
             self.fail(str(error))
 
-    def _step(self, rest: Rest, now: float) -> None:
+    def _send_next_push(self, rest: Rest, now: float) -> None:
         """Evaluate the places of the parts, and send the next push."""
         self._images = []
         if self._measurement is None:
@@ -260,21 +260,21 @@ class FrictionServer:
             new = self._measurement.after(rest, self._played)
         self._measurement, push = new, new.push
         if push is None:
-            self._finish(new.result)
+            self._publish_result(new.result)
             return
-        self._plays, self._played, self._after_ns = push.cycle, None, None
+        self._running_cycle, self._played, self._after_ns = push.cycle, None, None
         transport, stamp_ns = self._transports.current, self._clocks.stamp_ns()
         assert transport is not None
         factor = self._playback.send_push(transport, push.cycle, stamp_ns, now)
         if factor < 1:
             less = push.cycle.scaled(factor)
             self._played = replace(push, accel=push.accel * factor, cycle=less)
-        self._publish(Friction.RUNNING, new.progress, new.fraction)
+        self._publish_status(Friction.RUNNING, new.progress, new.fraction)
 
-    def _finish(self, result: FrictionResult) -> None:
+    def _publish_result(self, result: FrictionResult) -> None:
         self._result = result
         text = "; ".join((result.text, *result.notes))
-        self._end()
+        self._reset()
         self._driver.get_logger().info(text)
         parts = [
             PartFriction(
@@ -283,7 +283,7 @@ class FrictionServer:
             )
             for one in result.parts
         ]  # fmt: skip
-        self._publish(
+        self._publish_status(
             Friction.DONE, text, 1.0, mu=result.mu, mu_error=result.error,
             between_parts=result.between_parts, over_plate=result.over_plate,
             static_ratio=float(result.static_ratio),
@@ -293,11 +293,11 @@ class FrictionServer:
     def fail(self, why: str) -> None:
         """End a measurement without a result."""
         if self._running:
-            self._end()
+            self._reset()
             self._driver.get_logger().error(f"measure_friction failed: {why}")
-            self._publish(Friction.FAILED, why, 0.0)
+            self._publish_status(Friction.FAILED, why, 0.0)
 
-    def _publish(self, state: int, text: str, fraction: float, **result: object) -> None:
+    def _publish_status(self, state: int, text: str, fraction: float, **result: object) -> None:
         msg = Friction(state=state, text=text, fraction=float(fraction), **result)
         msg.header.stamp = to_time(self._started)
         msg.header.frame_id = "plate_home"

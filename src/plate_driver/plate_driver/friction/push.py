@@ -92,8 +92,8 @@ def make_push(rig: Rig, axis: int, sign: int, accel: float, slow: float) -> Push
         Maximum acceleration on the way to the start of the push and back home [m/s2].
     """
     length = push_length(rig)
-    unit_t, unit_a = _profile()
-    unit_v, unit_x = _integrated(unit_t, unit_a)
+    unit_t, unit_a = _acceleration_profile()
+    unit_v, unit_x = _integrate_twice(unit_t, unit_a)
     scale_s = np.sqrt(length / (accel * unit_x[-1]))
     pause = np.sqrt(QUINTIC_PEAK * length / 2 / slow)
     times = np.concatenate([[0.0], pause + scale_s * unit_t])
@@ -167,7 +167,7 @@ def slip(push: Push, mu: np.ndarray, hold: np.ndarray | float, gravity: float) -
     return -0.5 * np.sum(step * (np.array(speed[:-1]) + speed[1:]), axis=0)
 
 
-def _profile() -> tuple[np.ndarray, np.ndarray]:
+def _acceleration_profile() -> tuple[np.ndarray, np.ndarray]:
     """Return times and accelerations of a push from rest to rest. The accelerations are between 1
     and -`BRAKE`, and linear between these times."""
     gain, cross, lose = RAMP, RAMP * (1 + BRAKE), RAMP * BRAKE
@@ -180,7 +180,7 @@ def _profile() -> tuple[np.ndarray, np.ndarray]:
     return times, np.array([0.0, 1.0, 1.0, -BRAKE, -BRAKE, 0.0])
 
 
-def _integrated(t: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _integrate_twice(t: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return velocity and position at times t (k,), for an acceleration a (k,) that is linear
     between these times."""
     dt = np.diff(t)

@@ -109,7 +109,7 @@ class SafetyNode:
             (Trigger, "home", self._on_home),
         ):
             full = driver.resolve_service_name(name)
-            call = self._guarded(answer)
+            call = self._catch_exceptions(answer)
             node.create_service(kind, full, call, qos_profile=CALLS, callback_group=group)
         topic = driver.resolve_topic_name("driver_status")
         self._statuses = node.create_publisher(DriverStatusMsg, topic, LATCHED)
@@ -138,7 +138,7 @@ class SafetyNode:
                 except Exception as error:
                     self.node.get_logger().error(f"safety: {error!r}")
 
-    def _guarded(self, answer: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+    def _catch_exceptions(self, answer: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
         """Return a callback that catches exceptions and replies with them, so that the thread does
         not end."""
 
@@ -189,7 +189,7 @@ class SafetyNode:
     def _on_cut_power(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         return self._stop_and_log(response, DriverReason.POWER_CUT, over=())
 
-    def _stop(
+    def _stop_motors(
         self, response: Any, reason: DriverReason,
         over: tuple[DriverReason, ...] = (DriverReason.NONE,),
     ) -> Any:  # fmt: skip
@@ -203,7 +203,7 @@ class SafetyNode:
     def _stop_and_log(
         self, response: Any, reason: DriverReason, over: tuple[DriverReason, ...]
     ) -> Any:
-        self._stop(response, reason, over)
+        self._stop_motors(response, reason, over)
         if response.success:
             self.node.get_logger().warning(reason.text)
         else:
@@ -212,7 +212,7 @@ class SafetyNode:
 
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         if not request.data:
-            return self._stop(response, DriverReason.SWITCHED_OFF)
+            return self._stop_motors(response, DriverReason.SWITCHED_OFF)
         if self._standstill.is_late(time.monotonic()):
             response.success, response.message = False, LATE
             return response

@@ -95,10 +95,10 @@ def fit(rig: Rig, cycle: PlateCycle, thermal_load: np.ndarray | float = 1.0) -> 
             )
         if requested.overall <= 1 + ROUNDING:
             return Fit(cycle, 1.0, requested, requested)
-        return _scaled(rig, cycle, requested, thermal_load)
+        return _find_scale(rig, cycle, requested, thermal_load)
 
 
-def _scaled(
+def _find_scale(
     rig: Rig, cycle: PlateCycle, requested: CycleUsage, thermal_load: np.ndarray | float
 ) -> Fit:
     """Find the largest factor with which the cycle is within the limits.
@@ -142,7 +142,7 @@ def _next_factor(large: float, large_worst: float, small: Fit | None, secant: bo
     return float(np.exp(low + fraction * (high - low)) * 0.998)
 
 
-def excess(rig: Rig, used: CycleUsage, thermal_load: np.ndarray | float = 1.0) -> str:
+def excess_text(rig: Rig, used: CycleUsage, thermal_load: np.ndarray | float = 1.0) -> str:
     """Return a text with the name, value and allowed value of the limit that a motion exceeds by
     the largest factor.
 

@@ -14,7 +14,7 @@ import numpy as np
 from plate_core import CycleError, PlateCycle, Rig
 from plate_core.motion import motor_state, usage
 
-from .limits import Fit, check_setpoints, excess, fit
+from .limits import Fit, check_setpoints, excess_text, fit
 
 PERIOD_S = (0.01, 10.0)
 """Allowed length of a table and of its tail [s]. One image is taken per table, so the image rate is
@@ -134,7 +134,7 @@ def prepare(
     Parameters
     ----------
     repeats : int
-        See `with_fades`.
+        See `add_fades`.
     thermal_load : (4,) or float
         Allowed thermal load of the motors, see `usage`.
     correction : callable, optional
@@ -157,10 +157,10 @@ def prepare(
         raise CycleError(f"plate_cycle: {count} knots, allowed: at most {MAX_KNOTS}")
     running = None
     if not (cycle.starts_at_rest or (cycle.tail is None and cycle.closes)):
-        running = _continued(cycle, before, correction)
-        whole = _following(cycle, running)
+        running = _find_continued_cycle(cycle, before, correction)
+        whole = _start_at_end_of(cycle, running)
     elif cycle.tail is None:
-        whole = with_fades(cycle, repeats)
+        whole = add_fades(cycle, repeats)
     else:
         whole = cycle if correction is None else unspliced(cycle)
     lengths = [(cycle.period, "period"), (whole.period, "period")]
@@ -176,13 +176,13 @@ def prepare(
     fitted = fit(rig, whole, thermal_load)
     if fitted.factor < 1 and not whole.starts_at_rest:
         raise CycleError(
-            f"plate_cycle: {excess(rig, fitted.requested, thermal_load)}; the cycle begins in "
+            f"plate_cycle: {excess_text(rig, fitted.requested, thermal_load)}; the cycle begins in "
             "motion, so it cannot be scaled down. The plate comes to rest; cycles from rest can "
             "be scaled down"
         )
     command = fitted.cycle
     if correction is not None:
-        command, fitted = _corrected(rig, fitted, correction, thermal_load)
+        command, fitted = _correct_command(rig, fitted, correction, thermal_load)
     made = MotorTable.of(rig, command, stamp_ns)
     start = None
     if running is not None:
@@ -192,7 +192,7 @@ def prepare(
     return made, fitted
 
 
-def _continued(
+def _find_continued_cycle(
     cycle: PlateCycle, before: Sequence[PlateCycle], correction: Correction | None
 ) -> PlateCycle:
     """Return the newest cycle of `before` whose end state is the first state of a cycle that begins
@@ -225,7 +225,7 @@ def _continued(
     return running
 
 
-def _following(cycle: PlateCycle, running: PlateCycle) -> PlateCycle:
+def _start_at_end_of(cycle: PlateCycle, running: PlateCycle) -> PlateCycle:
     """Return a cycle with its first state replaced by the end state of `running`."""
     times, *states = cycle.knots
     exact = [
@@ -242,7 +242,7 @@ def unspliced(cycle: PlateCycle) -> PlateCycle:
     return PlateCycle.from_knots(times[once], *(state[once] for state in states))
 
 
-def _corrected(
+def _correct_command(
     rig: Rig, fitted: Fit, correction: Correction, thermal_load: np.ndarray | float
 ) -> tuple[PlateCycle, Fit]:
     """Return the corrected command, and the requested motion of the plate. Both motions are scaled
@@ -275,7 +275,7 @@ def check_order(last_ns: int | None, stamp_ns: int) -> None:
         )
 
 
-def with_fades(cycle: PlateCycle, repeats: int = 1) -> PlateCycle:
+def add_fades(cycle: PlateCycle, repeats: int = 1) -> PlateCycle:
     """Return a motion that starts and ends at home, at rest.
 
     Parameters
@@ -288,11 +288,11 @@ def with_fades(cycle: PlateCycle, repeats: int = 1) -> PlateCycle:
     """
     if cycle.starts_at_rest:
         return cycle
-    times, pose, twist, accel = _faded_in(cycle)
+    times, pose, twist, accel = _fade_in(cycle)
     period = cycle.period
     # The fade-out is computed in three steps: reverse the cycle in time, compute the fade-in of the
     # result, and reverse the fade-in in time.
-    back_times, back_pose, back_twist, back_accel = _faded_in(reversed_in_time(cycle))
+    back_times, back_pose, back_twist, back_accel = _fade_in(reverse_time(cycle))
     plays = [
         (
             (1 + i) * period + cycle.times[1:],
@@ -308,7 +308,7 @@ def with_fades(cycle: PlateCycle, repeats: int = 1) -> PlateCycle:
     return PlateCycle.from_knots(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
-def reversed_in_time(cycle: PlateCycle) -> PlateCycle:
+def reverse_time(cycle: PlateCycle) -> PlateCycle:
     """Return the motion reversed in time."""
     return PlateCycle.from_knots(
         cycle.period - cycle.times[::-1],
@@ -318,7 +318,7 @@ def reversed_in_time(cycle: PlateCycle) -> PlateCycle:
     )
 
 
-def _faded_in(cycle: PlateCycle) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _fade_in(cycle: PlateCycle) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return the knots of s(t/T) times the pose: times (n + 1,), and pose, twist, accel (n + 1, 3).
 
     s(u) = 10 u^3 - 15 u^4 + 6 u^5 rises from 0 to 1. The first two derivatives of s are 0 at both

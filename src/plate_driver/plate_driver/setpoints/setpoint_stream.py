@@ -113,10 +113,10 @@ class SetpointStream:
         while stream.time < time and not stream.ended:
             # The end of this cycle is the start of the next cycle.
             if stream.at == len(stream.knots):
-                after = stream._after()
+                after = stream._next_stream()
                 if after is None:
                     end = stream.begin + stream.knots[-1].ticks
-                    rests = _rests(end)
+                    rests = _rest_ticks(end)
                     zero = (0.0,) * 4
                     knots += [Knot((end + rest) % TICKS, zero, zero, zero) for rest in rests]
                     stream = replace(stream, sent=stream.sent + len(rests), rest=rests[-1])
@@ -127,7 +127,7 @@ class SetpointStream:
             stream = replace(stream, at=stream.at + 1, sent=stream.sent + 1)
         return stream, tuple(knots)
 
-    def _after(self) -> SetpointStream | None:
+    def _next_stream(self) -> SetpointStream | None:
         """Return the stream at the start of the next cycle or tail. None if the stream ends at
         rest."""
         tail, begin, newest = (
@@ -148,31 +148,31 @@ class SetpointStream:
 def knots(table: MotorTable) -> tuple[Knot, ...]:
     """Return the knots of a motor table and of its tail, rounded to the precision of the
     protocol."""
-    return _rounded(table.cycle.knots[0], table.q, table.qd, table.qdd)
+    return _round_knots(table.cycle.knots[0], table.q, table.qd, table.qdd)
 
 
 def densest(table: MotorTable, repeats: int, window_s: float) -> int:
     """Return the maximum number of setpoints within `window_s` [s] of a stream. The stream plays a
     table `repeats` times, followed by its tail or by setpoints at rest."""
     window = round(window_s / TICK_S)
-    parts = [np.array([knot.ticks for knot in refined(part)]) for part in _parts(table)]
+    parts = [np.array([knot.ticks for knot in refined(part)]) for part in _table_and_tail(table)]
     if table.tail is None:
         # more repetitions give the same maximum counts
         parts *= min(repeats, window // int(parts[0][-1]) + 2)
     times = np.array([0])
     for part in parts:
         times = np.append(times, times[-1] + part[1:])
-    times = np.append(times, times[-1] + np.array(_rests(int(times[-1]))))
+    times = np.append(times, times[-1] + np.array(_rest_ticks(int(times[-1]))))
     counts = np.searchsorted(times, times + window, side="right") - np.arange(len(times))
     return int(np.max(counts))
 
 
-def _parts(table: MotorTable) -> tuple[MotorTable, ...]:
+def _table_and_tail(table: MotorTable) -> tuple[MotorTable, ...]:
     """Return the table, followed by its tail if the table has a tail."""
     return (table,) if table.tail is None else (table, table.tail)
 
 
-def _rests(end: int) -> list[int]:
+def _rest_ticks(end: int) -> list[int]:
     """Return the times of the setpoints at rest [TICK_S], relative to the end of the motion. `end`
     is the end of the motion relative to the start of the stream [TICK_S]."""
     last = max(REST_TICKS, MIN_TICKS - end)
@@ -192,10 +192,12 @@ def refined(table: MotorTable) -> tuple[Knot, ...]:
     states = [evaluate_pieces(times, pieces, t, order) for order in range(3)]
     for state, exact in zip(states, own, strict=True):
         state[-1] = exact[-1]
-    return _rounded(t, *states)
+    return _round_knots(t, *states)
 
 
-def _rounded(times: np.ndarray, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> tuple[Knot, ...]:
+def _round_knots(
+    times: np.ndarray, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray
+) -> tuple[Knot, ...]:
     """Return knots, rounded to the precision of the protocol."""
     states = (np.asarray(x, np.float32).tolist() for x in (q, qd, qdd))
     ticks = np.round(times / TICK_S).astype(int).tolist()

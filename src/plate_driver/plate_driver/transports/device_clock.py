@@ -93,15 +93,19 @@ class DeviceClock:
         if sent > now:
             return self
         drift = DRIFT * (now - sent)
-        clock = self._bounded(sent - device - drift, now - device + drift, pulse.device_us, now)
+        clock = self._narrow_offset(
+            sent - device - drift, now - device + drift, pulse.device_us, now
+        )
         return replace(clock, pulse_at=now)
 
     def stamped(self, device_us: int, now: float) -> DeviceClock:
         """Return the clock after telemetry with device time `device_us` that arrived at `now`
         [s]."""
-        return self._bounded(float("-inf"), now - device_us * 1e-6, device_us, now)
+        return self._narrow_offset(float("-inf"), now - device_us * 1e-6, device_us, now)
 
-    def _bounded(self, earliest: float, latest: float, device_us: int, now: float) -> DeviceClock:
+    def _narrow_offset(
+        self, earliest: float, latest: float, device_us: int, now: float
+    ) -> DeviceClock:
         """Return the clock after a message that shows that the offset is between `earliest` and
         `latest` [s]."""
         own, back = device_us * 1e-6, self.device_us - device_us
@@ -109,7 +113,7 @@ class DeviceClock:
             self, earliest=earliest, latest=latest, at=now, since=(now, own), device_us=device_us
         )
         if back > 0:  # messages arrive in order, so a step backwards is an error
-            return restarted._with_problem(f"went back by {1e-6 * back:.3f} s", now, strikes=True)
+            return restarted._add_problem(f"went back by {1e-6 * back:.3f} s", now, strikes=True)
         if not self.known:
             return restarted
         drift = DRIFT * (now - self.at)
@@ -117,13 +121,13 @@ class DeviceClock:
         earliest, latest = max(self.earliest - drift, earliest), min(self.latest + drift, latest)
         if earliest > latest + TICK_S:
             ran, passed = own - self.since[1], now - self.since[0]
-            return restarted._with_problem(f"ran {ran:.3f} s in {passed:.3f} s", now, strikes=fast)
+            return restarted._add_problem(f"ran {ran:.3f} s in {passed:.3f} s", now, strikes=fast)
         # due to rounding, `earliest` may exceed `latest` by up to a tick
         middle = (earliest + latest) / 2
         bounds = min(earliest, middle), max(latest, middle)
         return replace(restarted, earliest=bounds[0], latest=bounds[1], since=self.since)
 
-    def _with_problem(self, problem: str, now: float, strikes: bool) -> DeviceClock:
+    def _add_problem(self, problem: str, now: float, strikes: bool) -> DeviceClock:
         new = (*self.strikes, now)[-STRIKES:] if strikes else self.strikes
         return replace(self, wrong_at=now, problem=f"the device's clock {problem}", strikes=new)
 

@@ -88,7 +88,7 @@ def frame_bytes(message: Message) -> int:
     return HEADER.size + LAYOUTS[type(message)].size + knots + FRAME_BYTES
 
 
-def _full(count: int) -> Knots:
+def _full_message(count: int) -> Knots:
     rest = (0.0,) * 4
     return Knots(1, 0, (Knot(0, rest, rest, rest),) * count)
 
@@ -100,7 +100,7 @@ ANSWER_BYTES = frame_bytes(Acknowledgement(0, Status.DONE))
 
 TELEMETRY_BYTES = HEADER.size + LAYOUTS[Telemetry].size + FRAME_BYTES
 
-FULL_BYTES = frame_bytes(_full(KNOTS_PER_MESSAGE))
+FULL_BYTES = frame_bytes(_full_message(KNOTS_PER_MESSAGE))
 """Length of the longest message that contains knots of a table [bytes]. The device states its
 receive window as a number of such messages."""
 
@@ -110,7 +110,9 @@ def upload_s(pieces: int, baud: float) -> float:
     heartbeats."""
     count = LineModel(baud).knots_per_message
     messages, knots = divmod(pieces + 1, count)
-    size = messages * frame_bytes(_full(count)) + (frame_bytes(_full(knots)) if knots else 0)
+    size = messages * frame_bytes(_full_message(count)) + (
+        frame_bytes(_full_message(knots)) if knots else 0
+    )
     size += frame_bytes(Begin(1, 0, 0)) + frame_bytes(Commit(1, 1))
     free = baud / BITS_PER_BYTE - frame_bytes(Heartbeat(0)) / HEARTBEAT_S
     return size / free if free > 0 else float("inf")
@@ -203,16 +205,16 @@ class LineModel:
     def knots_per_message(self) -> int:
         """Number of knots per message that maximises the number of arriving knots per second."""
 
-        def yielded(count: int) -> float:
-            size = frame_bytes(_full(count))
+        def knot_yield(count: int) -> float:
+            size = frame_bytes(_full_message(count))
             return count * self.arriving(size) / size
 
         counts = [
             count
             for count in range(2, KNOTS_PER_MESSAGE + 1)
-            if frame_bytes(_full(count)) * self.byte_s <= MAX_FRAME_S
+            if frame_bytes(_full_message(count)) * self.byte_s <= MAX_FRAME_S
         ]
-        return max([1, *counts], key=yielded)
+        return max([1, *counts], key=knot_yield)
 
     def sent(self, size: int, now: float) -> LineModel:
         """Return the line after `size` more bytes were sent at `now` [s]."""

@@ -204,8 +204,8 @@ class Link:
         # older session are not confused with replies to commands of this session.
         number = session * SESSION_STEP % 2**16
         link = cls(session, now, LineModel(baud), sequence=number)
-        link = link._requested(Hello(VERSION, session))
-        return link if trigger is None else link._requested(trigger)
+        link = link._enqueue(Hello(VERSION, session))
+        return link if trigger is None else link._enqueue(trigger)
 
     @property
     def busy(self) -> bool:
@@ -232,20 +232,20 @@ class Link:
         rate would interrupt every upload. If several tables wait, only the newest table is kept.
         """
         begin = Begin(table, len(knots), table_crc(knots), splice_ticks)
-        parts = _parts(table, 0, knots, self.line.knots_per_message)
+        parts = _knots_messages(table, 0, knots, self.line.knots_per_message)
         upload = (begin, *parts, Commit(table, repeats))
         return replace(self, next_table=upload, follows=follows, in_order=False)
 
     def streaming(self, table: int, knots: Sequence[Knot]) -> Link:
         """Return the link that opens a stream with its first setpoints."""
-        parts = _parts(table, 0, knots, self.line.knots_per_message)
+        parts = _knots_messages(table, 0, knots, self.line.knots_per_message)
         next_table = (Begin(table, 0, 0), *parts, Commit(table, 1))
         return replace(self, next_table=next_table, follows=0, in_order=True)
 
     def adding(self, table: int, first: int, knots: Sequence[Knot]) -> Link:
         """Return the link that adds setpoints, starting with number `first`, to the current
         stream."""
-        return self._requested(*_parts(table, first, knots, self.line.knots_per_message))
+        return self._enqueue(*_knots_messages(table, first, knots, self.line.knots_per_message))
 
     def stopping(self, now: bool = False) -> Link:
         """Return the link that requests a stop. The device brakes. If `now` is True, the device
@@ -260,29 +260,29 @@ class Link:
         bare = replace(self, queue=greeting, next_table=())
         if stops and isinstance(stops[0].message, Stop) and stops[0].message.now >= int(now):
             return replace(bare, queue=(replace(stops[0], sent_at=float("-inf")), *greeting))
-        link = bare._ordered(Stop(int(now)))
+        link = bare._request_order(Stop(int(now)))
         return replace(link, queue=(link.queue[-1], *link.queue[:-1]))
 
     def enabling(self, stop: int) -> Link:
         """Return the link that requests one enable, for the device's stop number `stop`."""
-        return self._ordered(Enable(stop))
+        return self._request_order(Enable(stop))
 
     def homing(self) -> Link:
         """Return the link that requests a new search for home. The motors must be off."""
-        return self._ordered(Home())
+        return self._request_order(Home())
 
-    def _failing(self, reason: DriverReason, text: str) -> Link:
+    def _fail(self, reason: DriverReason, text: str) -> Link:
         return replace(self, failed=Report(Condition.GONE, reason, text))
 
     def without_refusal(self) -> Link:
         """Return the link without the text of the last refusal, after this text was reported."""
         return replace(self, refusal="")
 
-    def _ordered(self, message: Message) -> Link:
-        link = self._requested(message)
+    def _request_order(self, message: Message) -> Link:
+        link = self._enqueue(message)
         return replace(link, answer=Answer(link.queue[-1].sequence, message))
 
-    def _requested(self, *messages: Message) -> Link:
+    def _enqueue(self, *messages: Message) -> Link:
         numbers = [(self.sequence + i) % 2**16 for i in range(len(messages) + 1)]
         new = [Pending(n, m) for n, m in zip(numbers, messages, strict=False)]
         return replace(self, queue=(*self.queue, *new), sequence=numbers[-1])
@@ -293,7 +293,7 @@ class Link:
         """Return the link after a message that arrived at `now` [s]."""
         link, message = replace(self, received_at=now), packet.message
         if isinstance(message, Telemetry):
-            return link._reported(message)
+            return link._after_telemetry(message)
         if isinstance(message, DriveTrouble):
             return replace(link, trouble=message)
         if isinstance(message, Pulse):
@@ -303,12 +303,12 @@ class Link:
             clock, line = link.clock.received(message, now), link.line.received(message, now)
             return replace(link, clock=clock, line=line)
         if isinstance(message, Capabilities):
-            return link._greeted(message)
+            return link._after_capabilities(message)
         if isinstance(message, Acknowledgement):
-            return link._answered(message)
+            return link._after_acknowledgement(message)
         return link
 
-    def _reported(self, telemetry: Telemetry) -> Link:
+    def _after_telemetry(self, telemetry: Telemetry) -> Link:
         link = replace(
             self, telemetry=telemetry, fresh_telemetry=telemetry, telemetry_at=self.received_at,
             clock=self.clock.stamped(telemetry.device_us, self.received_at),
@@ -320,27 +320,27 @@ class Link:
         queue = tuple(p for p in self.queue if not isinstance(p.message, Begin | Knots | Commit))
         return replace(link, queue=queue, next_table=())
 
-    def _greeted(self, device: Capabilities) -> Link:
+    def _after_capabilities(self, device: Capabilities) -> Link:
         if device.version != VERSION or device.motors != MOTORS:
             why = f"device has protocol version {device.version} and {device.motors} motors, "
             why += f"allowed: version {VERSION} and {MOTORS} motors"
-            return self._failing(DriverReason.WRONG_DEVICE, why)
+            return self._fail(DriverReason.WRONG_DEVICE, why)
         if device.session != self.session:
             return self  # the message belongs to an earlier session
         if self.device is not None and device.boot != self.device.boot:
-            return self._failing(DriverReason.DEVICE_RESET, "device was reset")
+            return self._fail(DriverReason.DEVICE_RESET, "device was reset")
         queue = tuple(p for p in self.queue if not isinstance(p.message, Hello))
         return replace(self, device=device, queue=queue)
 
-    def _answered(self, answer: Acknowledgement) -> Link:
+    def _after_acknowledgement(self, answer: Acknowledgement) -> Link:
         if answer.status is Status.NO_SESSION and self.device is not None:
-            return self._failing(DriverReason.DEVICE_RESET, "device was reset")
+            return self._fail(DriverReason.DEVICE_RESET, "device was reset")
         about = [p for p in self.queue if p.sequence == answer.sequence and p.tries]
         if not about:
             return self
         message = about[0].message
         if isinstance(message, Knots) and answer.status in LATER:
-            return self._missed(about[0])
+            return self._repeat_lost_knots(about[0])
         queue = tuple(p for p in self.queue if p.sequence != answer.sequence)
         link = replace(self, queue=queue)
         if self.answer is not None and self.answer.sequence == answer.sequence:
@@ -359,7 +359,7 @@ class Link:
         queue = tuple(p for p in queue if not isinstance(p.message, Knots | Commit))
         return replace(link, queue=queue, refusal=reason)
 
-    def _missed(self, early: Pending) -> Link:
+    def _repeat_lost_knots(self, early: Pending) -> Link:
         """Return the link that repeats the setpoints up to the message `early`, which arrived too
         early.
 
@@ -385,22 +385,22 @@ class Link:
         timeout_s = TIMEOUT_S + self.line.round_s
         if now - self.received_at > timeout_s and self.device is not None:
             why = f"device has been silent for {timeout_s:.2g} s"
-            return self._failing(DriverReason.NO_ANSWER, why), []
-        link = self._fed(now)._split(now)
+            return self._fail(DriverReason.NO_ANSWER, why), []
+        link = self._enqueue_next_table(now)._split_knots(now)
         link = replace(link, flight=tuple(item for item in link.flight if item[0] > now))
         packets: list[Packet] = []
-        for pending in link._stops(now):
-            link = link._sent(pending, now, link._copies(pending.message), packets)
-        link = link._with_heartbeat(now, packets)
-        sendable = link._sendable(now)
+        for pending in link._due_stops(now):
+            link = link._send_copies(pending, now, link._copy_count(pending.message), packets)
+        link = link._send_heartbeat(now, packets)
+        sendable = link._due_commands(now)
         for pending in sendable:
             if pending.tries and now - pending.first_at > link._max_repeat_s(pending.message):
                 why = f"device does not answer {type(pending.message).__name__}"
-                return link._failing(DriverReason.NO_ANSWER, why), []
-            copies = link._copies(pending.message, len(sendable))
+                return link._fail(DriverReason.NO_ANSWER, why), []
+            copies = link._copy_count(pending.message, len(sendable))
             if not link._has_space(pending.message, copies, now):
                 break
-            link = link._sent(pending, now, copies, packets)
+            link = link._send_copies(pending, now, copies, packets)
         return link, packets
 
     def _max_repeat_s(self, message: Message) -> float:
@@ -411,7 +411,7 @@ class Link:
             return float("inf")
         return GIVE_UP_S + 20 * self.line.round_s
 
-    def _with_heartbeat(self, now: float, packets: list[Packet]) -> Link:
+    def _send_heartbeat(self, now: float, packets: list[Packet]) -> Link:
         """Return the link after a heartbeat, if a heartbeat is due."""
         if self.device is None or now - self.heartbeat_at < self.line.heartbeat_s - 1e-9:
             return self
@@ -420,7 +420,7 @@ class Link:
         line = self.line.sent(frame_bytes(beat), now).heartbeat_sent(beat.host_ns, now)
         return replace(self, line=line, heartbeat_at=now)
 
-    def _copies(self, message: Message, abreast: int = 1) -> int:
+    def _copy_count(self, message: Message, abreast: int = 1) -> int:
         """Return the number of copies of a command.
 
         Unanswered knots of a table are repeated continuously. Therefore fewer copies are needed at
@@ -432,7 +432,9 @@ class Link:
             return self.line.command_copies(size)
         return ceil(self.line.copies(size) / (1 if self.in_order else abreast))
 
-    def _sent(self, pending: Pending, now: float, copies: int, packets: list[Packet]) -> Link:
+    def _send_copies(
+        self, pending: Pending, now: float, copies: int, packets: list[Packet]
+    ) -> Link:
         """Return the link after sending copies of a command."""
         size = frame_bytes(pending.message)
         packets += [Packet(pending.sequence, pending.message)] * copies
@@ -448,7 +450,7 @@ class Link:
         retries = self.retries + (copies if pending.tries else copies - 1)
         return replace(self, queue=queue, line=line, flight=flight, retries=retries)
 
-    def _fed(self, now: float) -> Link:
+    def _enqueue_next_table(self, now: float) -> Link:
         """Return the link after the next table was moved to the queue, if the queue is empty."""
         if self.queue or not self.next_table or self.device is None:
             return self
@@ -456,9 +458,9 @@ class Link:
         if self.follows and (telemetry is None or telemetry.waiting == self.follows):
             # wait, because the device refuses the next table until the previous table plays
             return self
-        return replace(self, next_table=())._requested(*self.next_table)
+        return replace(self, next_table=())._enqueue(*self.next_table)
 
-    def _in_flight(self, pending: Pending, now: float) -> bool:
+    def _is_in_flight(self, pending: Pending, now: float) -> bool:
         """Return whether the answer to a command may still arrive."""
         if not pending.tries:
             return False
@@ -469,7 +471,7 @@ class Link:
             wait = self.line.round_s + KNOTS_ANSWER_S
         return now - pending.sent_at < wait
 
-    def _split(self, now: float) -> Link:
+    def _split_knots(self, now: float) -> Link:
         """Return the link in which each unanswered message with several knots is replaced by
         messages with one knot each.
 
@@ -483,7 +485,7 @@ class Link:
                 not isinstance(message, Knots)
                 or len(message.knots) == 1
                 or not p.tries
-                or self._in_flight(p, now)
+                or self._is_in_flight(p, now)
             ):
                 queue.append(p)
                 continue
@@ -493,23 +495,23 @@ class Link:
                 sequence = (sequence + 1) % 2**16
         return replace(self, queue=tuple(queue), sequence=sequence)
 
-    def _stops(self, now: float) -> list[Pending]:
+    def _due_stops(self, now: float) -> list[Pending]:
         """Return the stop that must be sent now, if any. A stop is sent even if the line is
         busy."""
         stops = [p for p in self.queue if isinstance(p.message, Stop)]
-        return [p for p in stops if not self._in_flight(p, now)]
+        return [p for p in stops if not self._is_in_flight(p, now)]
 
-    def _sendable(self, now: float) -> list[Pending]:
+    def _due_commands(self, now: float) -> list[Pending]:
         """Return the commands that must be sent now: one command, or all knots if the first command
         contains knots."""
         queue = [p for p in self.queue if not isinstance(p.message, Stop)]
         if self.device is None or not queue or not isinstance(queue[0].message, Knots):
-            return [p for p in queue[:1] if not self._in_flight(p, now)]
+            return [p for p in queue[:1] if not self._is_in_flight(p, now)]
         knots = [p for p in queue if isinstance(p.message, Knots)]
         # Send all knots again, because the line loses most messages.
         if self.line.lossy and not self.in_order:
             return sorted(knots, key=lambda p: p.sent_at)
-        return [p for p in knots if not self._in_flight(p, now)]
+        return [p for p in knots if not self._is_in_flight(p, now)]
 
     def _has_space(self, message: Message, copies: int, now: float) -> bool:
         """Return whether the line and, for knots, the device's window have space for a message."""
@@ -522,7 +524,7 @@ class Link:
         return sum(n for _, n in self.flight) + copies * size <= capacity
 
 
-def _parts(table: int, first: int, knots: Sequence[Knot], count: int) -> list[Message]:
+def _knots_messages(table: int, first: int, knots: Sequence[Knot], count: int) -> list[Message]:
     """Return messages of `count` knots each. The first knot has the number `first`."""
     starts = range(0, len(knots), count)
     return [Knots(table, (first + k) % 2**16, tuple(knots[k : k + count])) for k in starts]

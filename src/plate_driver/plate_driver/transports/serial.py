@@ -329,7 +329,7 @@ class SerialTransport:
             raise CycleError(f"the device is {report.condition.value}{reason}, allowed: ready")
         repeats = plays(repeats, self.hold_s, table.cycle.period)
         if not self._streams:
-            sent, splice_ticks, follows = wired(table, self._sent)
+            sent, splice_ticks, follows = message_content(table, self._sent)
             if len(sent) > self.max_knots:
                 raise CycleError(
                     f"plate_cycle: {len(sent)} knots, allowed by the device: {self.max_knots}"
@@ -369,7 +369,7 @@ class SerialTransport:
             return []
         measured: list[Measured] = []
         now = self._clock()
-        self.min_lead_s = min(self.min_lead_s, self._lead(now))
+        self.min_lead_s = min(self.min_lead_s, self._stream_lead_s(now))
         try:
             data = self._port.read(READ_BYTES)
             now = self._clock()  # time after the arrival of all bytes of `data`
@@ -377,10 +377,10 @@ class SerialTransport:
             self.refused += reader.refused - self._reader.refused
             self._reader = reader
             for data in packets:
-                telemetry = self._received(data, now)
+                telemetry = self._process_received(data, now)
                 if telemetry is not None:
                     when = self._link.clock.host_time(telemetry.device_us)
-                    measured.append(self._measured(telemetry, min(when, now), now))
+                    measured.append(self._to_measured(telemetry, min(when, now), now))
             self._check_clock(now)
             self._complete_orders()
             self._feed_stream(now)
@@ -390,12 +390,14 @@ class SerialTransport:
             if due:
                 self._write(self._port, due)
         except OSError as error:
-            self._give_up(Report(Condition.GONE, DriverReason.PORT, f"serial port: {error}"), now)
+            self._disconnect(
+                Report(Condition.GONE, DriverReason.PORT, f"serial port: {error}"), now
+            )
             return measured
         if self._link.failed:
-            self._give_up(self._link.failed, now)
+            self._disconnect(self._link.failed, now)
         elif self._link.refusal:
-            self._note(self._link.refusal)
+            self._record_trouble(self._link.refusal)
             self._link = self._link.without_refusal()
             # End the stream, because the device would brake at a gap in the setpoints.
             self._streamed = None
@@ -425,7 +427,7 @@ class SerialTransport:
         if telemetry.state not in (State.OFF, State.BRAKING):
             return Report(condition)
         reasons = (reason for fault, reason in REASONS.items() if fault & telemetry.faults)
-        text = named(telemetry.faults & ~Fault.NO_HOME)
+        text = fault_names(telemetry.faults & ~Fault.NO_HOME)
         if self._link.trouble is not None and telemetry.faults & OF_DRIVES:
             text += f": {self._link.trouble.text}"
         return Report(condition, next(reasons, DriverReason.NONE), text)
@@ -460,7 +462,7 @@ class SerialTransport:
         if link.telemetry is not None:
             values |= {
                 "device_state": link.telemetry.state.name.lower(),
-                "faults": named(link.telemetry.faults) or "none",
+                "faults": fault_names(link.telemetry.faults) or "none",
                 "stop": str(link.telemetry.stop),
                 "following_error_mm": f"{1e3 * self._following_m:.3f}",
                 "following_watched": "yes" if link.device and link.device.following_m else "no",
@@ -479,7 +481,7 @@ class SerialTransport:
         immediately instead. All other pending commands are dropped."""
         self._streamed = self._next = None
         self._complete_request("another stop has arrived since then; call enable again")
-        order = self._ordered(STOP_ANSWER_S)
+        order = self._make_order(STOP_ANSWER_S)
         if self._closed:
             return order.complete(UNANSWERED)
         self._cut = cut or (self._cut and bool(self._stops))
@@ -492,7 +494,7 @@ class SerialTransport:
         """Request that the device enables the motors once. The request contains the stop number
         that the device reports now."""
         telemetry = self._link.telemetry
-        order = self._ordered(READY_S)
+        order = self._make_order(READY_S)
         if self._unfit:
             return order.complete(self._unfit.text)
         report = self.report()
@@ -506,7 +508,7 @@ class SerialTransport:
             )
         if self._request is not None:
             return order.complete("the device has not answered the last enable or home yet")
-        if self._clock_broken(self._clock()):
+        if self._is_clock_broken(self._clock()):
             return order.complete(self._link.clock.problem)
         self._clock_fault = ""
         self._request, self._link = order, self._link.enabling(telemetry.stop)
@@ -516,7 +518,7 @@ class SerialTransport:
     def home(self) -> Order:
         """Request that the motors search for home again. The device refuses this request unless its
         motors are off."""
-        order = self._ordered(HOME_ANSWER_S)
+        order = self._make_order(HOME_ANSWER_S)
         if self.report().condition is Condition.GONE:
             return order.complete(self.report().text)
         if self._stops or self._request is not None:
@@ -533,9 +535,9 @@ class SerialTransport:
             self.stop()
         self._streamed = self._next = None
         self._closed = True
-        self._release()
+        self._close_port()
 
-    def _ordered(self, max_s: float) -> Order:
+    def _make_order(self, max_s: float) -> Order:
         return Order(max_s + 4 * self._link.line.round_s)
 
     def _complete_orders(self) -> None:
@@ -543,7 +545,7 @@ class SerialTransport:
         answer = self._link.answer
         if answer is None or answer.status is None:
             return
-        failure = "" if answer.status is Status.DONE else _refused(answer.status)
+        failure = "" if answer.status is Status.DONE else _refusal_text(answer.status)
         if isinstance(answer.message, Stop):
             for order in self._stops:
                 order.complete(failure)
@@ -558,7 +560,7 @@ class SerialTransport:
                 self._reset = False
                 self._complete_request()
             elif state is not State.HOMING:
-                reason = named(self._link.fresh_telemetry.faults)
+                reason = fault_names(self._link.fresh_telemetry.faults)
                 self._complete_request(f"the device has stopped again: {reason}")
 
     def _complete_request(self, failure: str = "") -> None:
@@ -574,13 +576,13 @@ class SerialTransport:
         # frame.
         data = b"\0" + b"".join(frame(pack(packet)) for packet in due)
         if port.write(data) != len(data):
-            self._note("the serial line is full, so messages were lost and are repeated")
+            self._record_trouble("the serial line is full, so messages were lost and are repeated")
 
-    def _note(self, trouble: str) -> None:
+    def _record_trouble(self, trouble: str) -> None:
         if trouble not in self._troubles:
             self._troubles.append(trouble)
 
-    def _received(self, data: bytes, now: float) -> Telemetry | None:
+    def _process_received(self, data: bytes, now: float) -> Telemetry | None:
         try:
             packet = parse(data)
         except FrameError:
@@ -589,10 +591,10 @@ class SerialTransport:
         before, suspect = self._link.device, self._link.clock.suspect(now)
         self._link = self._link.received(packet, now)
         if self._link.clock.suspect(now) and not suspect:
-            self._note(self._link.clock.problem)
+            self._record_trouble(self._link.clock.problem)
         if before is None and self._link.device is not None:
             self._failures, self._no_contact = 0, CONNECTING
-            self._greeted(self._link.device)
+            self._process_greeting(self._link.device)
         message = packet.message
         if not isinstance(message, Telemetry):
             return None
@@ -600,23 +602,26 @@ class SerialTransport:
         self._load = max(self._load, message.load)
         if message.faults & ~(Fault.STOPPED | Fault.NO_HOME) and message.stop != self._stop_noted:
             self._stop_noted = message.stop
-            self._note(f"device has stopped: {named(message.faults)}{self._following(message)}")
+            self._record_trouble(
+                f"device has stopped: {fault_names(message.faults)}"
+                f"{self._following_error_text(message)}"
+            )
         if message.state not in (State.READY, State.PLAYING):
             self._streamed = self._next = None
         # The host time of the telemetry is unknown before the first pulse.
         return message if self._link.clock.known else None
 
-    def _greeted(self, device: Capabilities) -> None:
+    def _process_greeting(self, device: Capabilities) -> None:
         """Process the device's reply to Hello. Check whether the device was reset, and whether its
         limits equal those of this rig."""
         self._reset = self._reset or self._boot not in (None, device.boot)
         self._boot = device.boot
-        why = "" if self._limits is None else differing(device, self._limits)
+        why = "" if self._limits is None else limit_differences(device, self._limits)
         self._unfit = Report(Condition.GONE, DriverReason.WRONG_DEVICE, why) if why else None
         if why:
-            self._note(why)
+            self._record_trouble(why)
 
-    def _clock_broken(self, now: float) -> bool:
+    def _is_clock_broken(self, now: float) -> bool:
         return self._link.clock.broken(now, self._link.line.round_s)
 
     def _check_clock(self, now: float) -> None:
@@ -624,14 +629,14 @@ class SerialTransport:
         telemetry = self._link.fresh_telemetry
         if telemetry is None or telemetry.state in (State.OFF, State.BRAKING):
             return
-        if self._stops or not self._clock_broken(now):
+        if self._stops or not self._is_clock_broken(now):
             return
         self._clock_fault = self._link.clock.problem
         self._streamed = self._next = None
         self._complete_request(self._clock_fault)
         self._link = self._link.stopping()
 
-    def _measured(self, telemetry: Telemetry, time: float, now: float) -> Measured:
+    def _to_measured(self, telemetry: Telemetry, time: float, now: float) -> Measured:
         """Convert telemetry to a measurement at the host time `time` [s]. While the device brakes,
         the field `playing` of the measurement is None."""
         braking = telemetry.state is State.BRAKING
@@ -647,14 +652,14 @@ class SerialTransport:
             time - ticks * TICK_S, self._link.clock.rejection(now),
         )  # fmt: skip
 
-    def _following(self, telemetry: Telemetry) -> str:
+    def _following_error_text(self, telemetry: Telemetry) -> str:
         device = self._link.device
         if not telemetry.faults & Fault.FOLLOWING or device is None:
             return ""
         error, allowed = 1e3 * self._following_m, 1e3 * device.following_m
         return f" (a motor was {error:.2g} mm from its setpoint, allowed: {allowed:.2g})"
 
-    def _lead(self, now: float) -> float:
+    def _stream_lead_s(self, now: float) -> float:
         """Return the time by which the stream is ahead of the device [s].
 
         The result is infinite if no stream plays or if the whole stream was sent.
@@ -686,7 +691,7 @@ class SerialTransport:
             self._stream_start = telemetry.device_us * 1e-6
         if stream.ended:
             return
-        self._streamed, more = stream.until(stream.time - self._lead(now) + LEAD_S)
+        self._streamed, more = stream.until(stream.time - self._stream_lead_s(now) + LEAD_S)
         if more:
             self._link = self._link.adding(self._table, stream.sent, more)
 
@@ -704,28 +709,30 @@ class SerialTransport:
             self._connect(self._make_port())
         except PlateError as error:
             why = f"{error}: waiting for it"
-            self._give_up(Report(Condition.GONE, DriverReason.PORT, why), now)
+            self._disconnect(Report(Condition.GONE, DriverReason.PORT, why), now)
 
-    def _give_up(self, why: Report, now: float) -> None:
+    def _disconnect(self, why: Report, now: float) -> None:
         if why != self._no_contact:  # record each reason only once
-            self._note(why.text)
+            self._record_trouble(why.text)
         self._no_contact = why
         self._streamed = self._next = None
         self._complete_request(why.text)
-        self._release()
+        self._close_port()
         self._reopen_at = now + REOPEN_S[min(self._failures, len(REOPEN_S) - 1)]
         self._failures += 1
 
-    def _release(self) -> None:
+    def _close_port(self) -> None:
         port, self._port = self._port, None
         if port is not None:
             try:
                 port.close()
             except OSError as error:
-                self._note(f"serial port: {error}")
+                self._record_trouble(f"serial port: {error}")
 
 
-def wired(table: MotorTable, before: Mapping[int, MotorTable]) -> tuple[tuple[Knot, ...], int, int]:
+def message_content(
+    table: MotorTable, before: Mapping[int, MotorTable]
+) -> tuple[tuple[Knot, ...], int, int]:
     """Return the content of a table's messages: its knots, its splice time, and the table that it
     continues.
 
@@ -753,12 +760,12 @@ def wired(table: MotorTable, before: Mapping[int, MotorTable]) -> tuple[tuple[Kn
     return (first, *rest[:end], *rest[end + 1 :]), rest[end].ticks, follows
 
 
-def named(faults: Fault) -> str:
+def fault_names(faults: Fault) -> str:
     """Return the names of faults."""
     return ", ".join(fault.name.lower().replace("_", " ") for fault in faults if fault.name)
 
 
-def differing(device: Capabilities, limits: Limits) -> str:
+def limit_differences(device: Capabilities, limits: Limits) -> str:
     """Return a text about the limits of the device that differ from the rig file. Return "" if all
     limits are equal."""
     pairs = {
@@ -777,5 +784,5 @@ def differing(device: Capabilities, limits: Limits) -> str:
     return f"the device's limits differ from the rig's: {', '.join(wrong)}" if wrong else ""
 
 
-def _refused(status: Status) -> str:
+def _refusal_text(status: Status) -> str:
     return REFUSED.get(status, f"the device answers: {status.name.lower().replace('_', ' ')}")

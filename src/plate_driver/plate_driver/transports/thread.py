@@ -170,9 +170,11 @@ class TransportThread:
         self._enables: list[_Enable] = []
         self._stop = Order().complete()  # last stop
         # one entry per postponed stop, which states whether to switch off the motor current
-        self._owed: list[bool] = []
+        self._postponed_stops: list[bool] = []
         self._troubles: list[str] = []
-        self._thread = threading.Thread(target=self._run, name="transport", daemon=True)
+        self._thread = threading.Thread(
+            target=self._poll_periodically, name="transport", daemon=True
+        )
         self.report: Report = transport.report()
         # Whether a device was ever connected.
         self.met = self.report.condition is not Condition.GONE
@@ -202,26 +204,26 @@ class TransportThread:
     def poll(self) -> None:
         """Poll the transport once."""
         with self._lock:
-            self._tried(self._polled)
-            self._tried(self._stop_owed)
-            self._follow()
+            self._call_guarded(self._poll_transport)
+            self._call_guarded(self._send_postponed_stops)
+            self._complete_enables()
 
-    def _stop_owed(self) -> None:
-        while self._owed:
-            self._transport.stop(self._owed.pop())
+    def _send_postponed_stops(self) -> None:
+        while self._postponed_stops:
+            self._transport.stop(self._postponed_stops.pop())
 
-    def _polled(self) -> None:
+    def _poll_transport(self) -> None:
         measured = self._transport.poll()
         self._measured.extend(measured)
         self._troubles += [t for t in self._transport.troubles() if t not in self._troubles]
-        self._reported()
+        self._update_report()
         if measured:
             self._measured_at = measured[-1].time
             if self.report.condition is Condition.OFF:
                 # The motors are off, even if the device has not acknowledged the stop.
                 self._latch.late = None
 
-    def _follow(self) -> None:
+    def _complete_enables(self) -> None:
         """Complete the enables that have succeeded, failed or timed out. Open the latch if an
         enable has succeeded."""
         for each in list(self._enables):
@@ -239,9 +241,9 @@ class TransportThread:
             if not opened and (not completed or each.order.done):
                 # The enable command has failed. Switch off the motors, because the command may have
                 # switched them on.
-                self._tried(self._transport.stop)
+                self._call_guarded(self._transport.stop)
 
-    def _tried(self, call: Callable[[], T]) -> T | None:
+    def _call_guarded(self, call: Callable[[], T]) -> T | None:
         """Call the function `call`. Return None if the function raises an unexpected exception. The
         caller must hold the lock.
 
@@ -261,27 +263,27 @@ class TransportThread:
             self._on_defect(error)
             return None
 
-    def _run(self) -> None:
+    def _poll_periodically(self) -> None:
         period_s = POLL_PERIOD_S if self.motors else NO_MOTORS_PERIOD_S
         with urgent():
             while not self._ended.wait(period_s):
                 self.poll()
 
-    def _ordered(self, call: Callable[[], Order]) -> Order:
+    def _execute_order(self, call: Callable[[], Order]) -> Order:
         """Call a method of the transport that executes an order of a person."""
         if not self._lock.acquire(timeout=BUSY_S):
             return Order().complete(BUSY)
         try:
-            order = self._tried(call)
+            order = self._call_guarded(call)
             if order is None:
                 return Order().complete(self.report.text)
-            self._tried(self._reported)
-            self._follow()
+            self._call_guarded(self._update_report)
+            self._complete_enables()
             return order
         finally:
             self._lock.release()
 
-    def _reported(self) -> None:
+    def _update_report(self) -> None:
         self.report = self._transport.report()
         self.met |= self.report.condition is not Condition.GONE
 
@@ -302,25 +304,25 @@ class TransportThread:
 
             table.check_age(time.monotonic())
 
-            def call() -> bool:
+            def send_table() -> bool:
                 self._transport.send(table, repeats)
                 return True
 
-            if not self._tried(call):
+            if not self._call_guarded(send_table):
                 raise CycleError(self.report.text)
 
     def stop(self, cut: bool = False) -> Order:
         """Stop the motors as described in `Transport.stop`. If another thread uses the transport
         for too long, the next poll stops the motors."""
-        order = self._stop = self._ordered(lambda: self._transport.stop(cut))
+        order = self._stop = self._execute_order(lambda: self._transport.stop(cut))
         if order.failure == BUSY:
-            self._owed.append(cut)
+            self._postponed_stops.append(cut)
         return order
 
     @property
     def stopping(self) -> bool:
         """Whether a stop is still in progress."""
-        return bool(self._owed) or not self._stop.completed
+        return bool(self._postponed_stops) or not self._stop.completed
 
     def stopped(self, order: Order, cut: bool, end: float) -> bool:
         """Wait at most until the time `end` (steady clock [s]) for a stop to succeed. Return
@@ -331,12 +333,14 @@ class TransportThread:
         """
         stopped = (Condition.OFF,) if cut else (Condition.OFF, Condition.BRAKING)
 
-        def shown() -> bool:
+        def is_stopped() -> bool:
             return self._measured_at > end - SHOWN_S and self.report.condition in stopped
 
-        while not shown() and (remaining_s := end - time.monotonic()) > 0 and not order.completed:
+        while (
+            not is_stopped() and (remaining_s := end - time.monotonic()) > 0 and not order.completed
+        ):
             order.wait(min(remaining_s, 2 * POLL_PERIOD_S))
-        return order.done if order.completed else shown()
+        return order.done if order.completed else is_stopped()
 
     def enable(self, number: int) -> Order:
         """Enable the motors as described in `Transport.enable`. `number` is the value of
@@ -347,7 +351,7 @@ class TransportThread:
         the order.
         """
 
-        def call() -> Order:
+        def enable_transport() -> Order:
             if self._latch.number != number:
                 return Order().complete(STOPPED_SINCE)
             order = self._transport.enable()
@@ -357,11 +361,11 @@ class TransportThread:
             self._enables.append(_Enable(number, order, result, end))
             return result
 
-        return self._ordered(call)
+        return self._execute_order(enable_transport)
 
     def home(self) -> Order:
         """Request that the motors search for home again, see `Transport.home`."""
-        return self._ordered(self._transport.home)
+        return self._execute_order(self._transport.home)
 
     def measured(self) -> list[Measured]:
         """Return the measurements that arrived since the last call of this method."""
@@ -379,7 +383,7 @@ class TransportThread:
     def values(self) -> dict[str, str]:
         """Return values for the diagnostics, by name, see `Transport.values`."""
         with self._lock:
-            return self._tried(self._transport.values) or {}
+            return self._call_guarded(self._transport.values) or {}
 
     def close(self) -> None:
         """Stop the motors, wait at most `ANSWER_S` for the confirmation, and release the
@@ -391,6 +395,6 @@ class TransportThread:
             self._thread.join(CLOSE_S)
         if self._lock.acquire(timeout=BUSY_S):
             try:
-                self._tried(self._transport.close)
+                self._call_guarded(self._transport.close)
             finally:
                 self._lock.release()
