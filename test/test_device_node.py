@@ -151,7 +151,7 @@ def test_on_a_computer_that_is_held_up_the_device_takes_nobody_for_silent(tmp_pa
         def passed(seconds: float) -> float:
             before = device._emulator.now
             clock[0] += round(seconds * 1e9)
-            device._serve()
+            device._on_serve_timer()
             return device._emulator.now - before
 
         assert passed(0.02) == pytest.approx(0.02, abs=2e-3)

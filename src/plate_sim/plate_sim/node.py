@@ -91,7 +91,7 @@ IMAGE_GROUP = "Effects in the images (config/nodes.yaml explains them)"
 NO_USE = CycleUsage(0.0, 0.0, 0.0, 0.0)
 
 
-def _disturbance(name: str, description: str, live: bool = True, group: str = "") -> Any:
+def _disturbance_parameter(name: str, description: str, live: bool = True, group: str = "") -> Any:
     """Return a parameter of the node that sets the field `name` of `Disturbances`."""
     value = getattr(Disturbances, name)
     return parameter(value, description, *RANGES[name], live=live, group=group)
@@ -99,7 +99,7 @@ def _disturbance(name: str, description: str, live: bool = True, group: str = ""
 
 def _image_parameter(name: str, description: str) -> Any:
     """Return a parameter of the node that sets a disturbance of the images only."""
-    return _disturbance(name, description, group=IMAGE_GROUP)
+    return _disturbance_parameter(name, description, group=IMAGE_GROUP)
 
 
 @dataclass(frozen=True)
@@ -151,41 +151,41 @@ class Options(NodeOptions):
     idle_period: float = parameter(
         IDLE_S, "Length of a cycle while the plate is at rest [s].", 0.01, 10
     )
-    friction_spread: float = _disturbance(
+    friction_spread: float = _disturbance_parameter(
         "friction_spread", "Maximum relative deviation of friction between parts."
     )
-    friction_patches: float = _disturbance(
+    friction_patches: float = _disturbance_parameter(
         "friction_patches", "Maximum relative deviation of friction on the plate."
     )
-    static_ratio: float = _disturbance(
+    static_ratio: float = _disturbance_parameter(
         "static_ratio", "Static friction divided by dynamic friction."
     )
-    friction_slope: float = _disturbance(
+    friction_slope: float = _disturbance_parameter(
         "friction_slope", "Relative friction change per slip speed [1/(m/s)]."
     )
-    heave: float = _disturbance("heave", "Upward motion divided by the motion along x.")
-    tilt_x: float = _disturbance(
+    heave: float = _disturbance_parameter("heave", "Upward motion divided by the motion along x.")
+    tilt_x: float = _disturbance_parameter(
         "tilt_x", "Tilt of the plate [rad]. If positive, parts slide towards +x."
     )
-    tilt_y: float = _disturbance(
+    tilt_y: float = _disturbance_parameter(
         "tilt_y", "Tilt of the plate [rad]. If positive, parts slide towards +y."
     )
-    latency: float = _disturbance(
+    latency: float = _disturbance_parameter(
         "latency", "Age of an image when it is published and stamped [s].", live=False
     )
-    image_rate: float = _disturbance(
+    image_rate: float = _disturbance_parameter(
         "image_rate", "Image rate of a free-running camera [1/s]. 0 means one image at the "
         "start of each cycle.",
         live=False,
     )  # fmt: skip
-    stamp_jitter: float = _disturbance(
+    stamp_jitter: float = _disturbance_parameter(
         "stamp_jitter", "Noise of a free-running camera's stamps [s].",
         live=False,
     )  # fmt: skip
     blur: bool = parameter(
         True, "Whether motion during the exposure time blurs the images.", live=True
     )
-    missed_images: float = _disturbance(
+    missed_images: float = _disturbance_parameter(
         "missed_images", "Fraction of images that are never published."
     )
     highlights: float = _image_parameter(
@@ -200,7 +200,9 @@ class Options(NodeOptions):
     false_parts: float = _image_parameter(
         "false_parts", "Number of false parts per true part in an image."
     )
-    pick_failure: float = _disturbance("pick_failure", "Fraction of grips in which the part slips.")
+    pick_failure: float = _disturbance_parameter(
+        "pick_failure", "Fraction of grips in which the part slips."
+    )
 
     part_height_m: float = _image_parameter(
         "part_height_m", "Height of parts in images [m]. 0 uses the height in the rig file."
@@ -272,9 +274,9 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         super().__init__("simulator", Options)
         # seed of the next reset; None if the parameter `seed` was not set
         self._next_seed: int | None = None
-        self.add_post_set_parameters_callback(self._note_seed)
+        self.add_post_set_parameters_callback(self._record_seed)
         self.report(
-            self._find, self._values, "simulation", self._begin_report,
+            self._diagnose, self._diagnostic_values, "simulation", self._begin_report,
             lambda: to_time(self._time_ns),
         )  # fmt: skip
 
@@ -310,7 +312,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         self._next_ns = START_NS  # start time of the next cycle [ns]
         self._simulation = self._new_simulation()
         self._warm_up()
-        self._connect()
+        self._make_interfaces()
 
     def begin(self) -> None:
         """Start with the plate at rest. The next cycle begins at once."""
@@ -338,7 +340,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         """Bring the plate to rest. Simulate the remaining time of the running cycle, and then the
         tail of this cycle."""
         if not self._driven:
-            self._move(self._timeline.cycle, self._next_ns)
+            self._simulate_parts(self._timeline.cycle, self._next_ns)
             if self._timeline.cycle.tail is not None:
                 self._simulation.run(self._timeline.cycle.tail)
 
@@ -363,9 +365,9 @@ class SimulatorNode(SafeLifecycleNode[Options]):
             self._rate, now_ns = options.rate, time.monotonic_ns()
             if self.active:
                 self._due_ns = now_ns + round((self._due_ns - now_ns) * before / options.rate)
-                self._wait(self._moved_ns)
+                self._set_alarm(self._moved_ns)
 
-    def _note_seed(self, parameters: list[Parameter]) -> None:
+    def _record_seed(self, parameters: list[Parameter]) -> None:
         """If the parameter `seed` was set, store its value for the next reset, even if it is equal
         to the present seed."""
         for item in parameters:
@@ -388,7 +390,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         run_cycle(state, PlateCycle.rest(self.options.idle_period), self._rig)
         Camera(self._rig).render(state.position, angle, rng)
 
-    def _connect(self) -> None:
+    def _make_interfaces(self) -> None:
         self._images = self.managed_publisher(Image, "image_raw", IMAGE)
         self._infos = self.managed_publisher(CameraInfo, "camera_info", IMAGE)
         self._truths = self.managed_publisher(PartsMsg, "ground_truth", DATA)
@@ -444,30 +446,30 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         alone = self._timeline.repeats > 0 or tail_alone
         self._count["held cycles"] += alone
         self._count["missed images"] += self._shot is None and not seen
-        self._advance()
+        self._simulate_to_next_event()
         if self._shot is None and not options.lockstep:
             # Render the next image now, while the simulator is idle. A real camera would not use
             # computing time here.
             self._ahead = [self._simulation.capture()]
         return seen
 
-    def _advance(self) -> None:
+    def _simulate_to_next_event(self) -> None:
         """Simulate the parts until the time at which the next image is delivered or the cycle ends.
         Set the timer to this time."""
         cycle, end_ns = self._timeline.cycle, self._next_ns
         if self._shot is not None and self._delivered_ns < end_ns:
             end_ns = self._delivered_ns
-        self._move(cycle, end_ns)
+        self._simulate_parts(cycle, end_ns)
         if not self.options.lockstep:
-            self._wait(end_ns)
+            self._set_alarm(end_ns)
 
-    def _wait(self, until_ns: int) -> None:
+    def _set_alarm(self, until_ns: int) -> None:
         """Set the timer to the simulated time `until_ns` in this cycle [ns]."""
         ahead_ns = round((self._next_ns - until_ns) / self.options.rate)
         self._alarm.timer_period_ns = max(1, self._due_ns - ahead_ns - time.monotonic_ns())
         self._alarm.reset()
 
-    def _move(self, motion: PlateCycle | PlateMotion, end_ns: int) -> None:
+    def _simulate_parts(self, motion: PlateCycle | PlateMotion, end_ns: int) -> None:
         """Simulate the parts from the time `_moved_ns` to `end_ns`. The motion `motion` of the
         plate began at the time `_time_ns`."""
         begin, end = (1e-9 * (t - self._time_ns) for t in (self._moved_ns, end_ns))
@@ -480,7 +482,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
     def _on_alarm(self) -> None:
         if self._moved_ns < self._next_ns:
             self._take_next_image()
-            self._advance()
+            self._simulate_to_next_event()
             return
         behind_ns = time.monotonic_ns() - self._due_ns
         now_ns = Clock(clock_type=ClockType.SYSTEM_TIME).now().nanoseconds
@@ -537,7 +539,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         self._input = self._input.received(time.monotonic())
         self._tally.tables += 1
 
-    def _refuse(self, error: PlateError) -> None:
+    def _record_refusal(self, error: PlateError) -> None:
         """Count a motor table or a segment of motion that was refused."""
         self._count["refused tables"] += 1
         self._tally.refused += 1
@@ -555,7 +557,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
             self._usage = check_table(self._rig, cycle, self._timeline.cycle)
             self._timeline = self._timeline.send(cycle)
         except PlateError as error:
-            self._refuse(error)
+            self._record_refusal(error)
             self.get_logger().warning(
                 f"motor table refused, the plate continues its motion: {error}",
                 throttle_duration_sec=WARN_S,
@@ -571,7 +573,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
             times, *motors = msg_to_knots(msg, [motor.name for motor in self._rig.motors])
             motion = PlateMotion.of_motors(self._rig, times, np.stack(motors, axis=1))
         except PlateError as error:
-            self._refuse(error)
+            self._record_refusal(error)
             self.get_logger().warning(
                 f"motor motion refused, the parts do not move: {error}",
                 throttle_duration_sec=WARN_S,
@@ -584,25 +586,25 @@ class SimulatorNode(SafeLifecycleNode[Options]):
             self._simulation.run(motion)
             self._moved_ns = end_ns
             if not self._by_line or abs(end_ns - self._pulse_ns) <= GAP_NS:
-                self._expose(end_ns)
+                self._take_triggered_image(end_ns)
             return
         if abs(begin_ns - self._next_ns) > GAP_NS:
             self._start_shots(begin_ns)
         self._time_ns, self._moved_ns, self._next_ns = begin_ns, begin_ns, end_ns
         self._publish_truth()
         while self._delivered_ns < end_ns:
-            self._move(motion, self._delivered_ns)
+            self._simulate_parts(motion, self._delivered_ns)
             self._take_next_image()
-        self._move(motion, end_ns)
+        self._simulate_parts(motion, end_ns)
 
     def _on_pulse(self, msg: Header) -> None:
         """Process a trigger pulse. If the parts are already simulated up to the time of the pulse,
         take an image. Otherwise, `_on_motion` takes the image later."""
         self._pulse_ns = nanoseconds(msg.stamp)
         if abs(self._moved_ns - self._pulse_ns) <= GAP_NS:
-            self._expose(self._pulse_ns)
+            self._take_triggered_image(self._pulse_ns)
 
-    def _expose(self, now_ns: int) -> None:
+    def _take_triggered_image(self, now_ns: int) -> None:
         """Take an image, unless the last image was taken less than `MIN_NS` ago."""
         if now_ns - self._time_ns >= MIN_NS:
             self._time_ns = now_ns
@@ -721,7 +723,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
     def _on_driver(self, msg: DriverStatus) -> None:
         self._driver = msg
 
-    def _find(self, now: float) -> Finding:
+    def _diagnose(self, now: float) -> Finding:
         """Return the most severe problem of the received tables, the plate and the parts (see
         `plate_core.status`)."""
         tally, dropped = self._tally, self._simulation.dropped
@@ -739,7 +741,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         findings += [Finding(Level.WARN, trouble) for trouble in troubles]
         return worst(findings, fine)
 
-    def _values(self) -> Mapping[str, object]:
+    def _diagnostic_values(self) -> Mapping[str, object]:
         limits, used = self._rig.limits, self._usage
         mu = self._simulation.mu
         return {

@@ -12,7 +12,7 @@ from plate_sim.contacts import Contacts
 from plate_sim.friction import bar, disc, polygon, union
 from plate_sim.plate import LEVEL
 from plate_sim.world import STEP
-from plate_sim.world.bodies import Shapes, columns, run_plates
+from plate_sim.world.bodies import Shapes, check_starts, run_plates
 
 G = 9.81
 L_SHAPE = union(
@@ -178,7 +178,7 @@ def test_a_shaken_crowd_overlaps_by_20_micrometres_at_most(shape, count, pull):
 def test_a_part_beyond_the_edge_is_gone():
     place = np.array([[0.295, 0.0], [0.27, 0.0], [0.0, 0.0]])
     speed = np.array([[0.5, 0], [0, 0], [0, 0]])
-    states = columns([(place, np.zeros(3), speed, np.zeros(3))])
+    states = check_starts([(place, np.zeros(3), speed, np.zeros(3))])
     here = np.array([[True, True, False]])
     (record,) = run_plates(
         [PlateCycle.rest(0.1)], [500], Shapes.of([disc(0.012)] * 3), states, here,
@@ -223,7 +223,7 @@ def test_parts_that_overlap_at_the_start_are_refused(parts, place, message):
     with pytest.raises(PlateError, match="overlap by") as error:
         run_plates(
             [PlateCycle.rest(0.1)] * 2, [500] * 2, Shapes.of(parts),
-            columns([(np.array([[0, 0], [0.1, 0]]), *still), (np.array(place), *still)]),
+            check_starts([(np.array([[0, 0], [0.1, 0]]), *still), (np.array(place), *still)]),
             np.ones((2, 2), bool), np.ones((2, 2)), [LEVEL.effect(G)] * 2, Contacts(), HALF, 1, 0,
             ["a", "b"],
         )  # fmt: skip
@@ -296,7 +296,7 @@ def told_depth(parts, place, angle):
     still = np.zeros((2, 2)), np.zeros(2)
     with pytest.raises(PlateError, match="overlap by") as error:
         run_plates(
-            [PlateCycle.rest(0.1)], [500], Shapes.of(parts), columns([(place, angle, *still)]),
+            [PlateCycle.rest(0.1)], [500], Shapes.of(parts), check_starts([(place, angle, *still)]),
             np.ones((1, 2), bool), np.ones((1, 2)), [LEVEL.effect(G)], Contacts(), HALF, 1, 0,
             ["a", "b"],
         )  # fmt: skip

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from plate_sim.plate.drive import DEGREE, later
+from plate_sim.plate.drive import DEGREE, shift_derivatives
 from plate_sim.plate.response import advance, step_responses
 
 RNG = np.random.default_rng(5)
@@ -30,7 +30,7 @@ def test_a_step_follows_a_polynomial_input(system):
     # Two halves make the whole.
     half = step_responses(system, np.array([step / 2]))
     middle = advance(half, state[None], derivatives[None])
-    moved = later(derivatives[None], np.array([step / 2]))
+    moved = shift_derivatives(derivatives[None], np.array([step / 2]))
     np.testing.assert_allclose(advance(half, middle, moved)[0], found, rtol=1e-10)
 
 
@@ -42,7 +42,7 @@ def test_derivatives_later():
         return np.array([polynomial.deriv(k)(t) if k else polynomial(t) for k in range(6)])
 
     start = np.stack([at(0.0), at(0.3)])[:, :, None]
-    moved = later(start, np.array([0.7, 0.4]))
+    moved = shift_derivatives(start, np.array([0.7, 0.4]))
     np.testing.assert_allclose(moved[0, :, 0], at(0.7), rtol=1e-12)
     np.testing.assert_allclose(moved[1, :, 0], at(0.7), rtol=1e-12)
-    np.testing.assert_array_equal(later(start, np.zeros(2)), start)
+    np.testing.assert_array_equal(shift_derivatives(start, np.zeros(2)), start)

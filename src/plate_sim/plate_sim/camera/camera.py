@@ -15,8 +15,16 @@ from plate_core import PlateError, Rig
 from plate_core.colours import lab_to_srgb
 from plate_core.rig import PartType, camera_place, homography, project, to_home
 
-from .raster import Outlines, Sprites, draw_parts, draw_plate, expose, joined, outlines_of
-from .sweeps import scaled, swept
+from .raster import (
+    Outlines,
+    Sprites,
+    concatenate_outlines,
+    draw_parts,
+    draw_plate,
+    expose,
+    make_outlines,
+)
+from .sweeps import scale_outlines, sweep_outlines
 
 SURROUNDINGS = 60.0
 """Grey value of the surroundings of the plate at full brightness."""
@@ -251,7 +259,7 @@ class _Layer(NamedTuple):
     """Layer of the drawing with one shape for each of M parts. For example, a layer contains all
     side faces. `path` contains the positions (s, M, 2) [m], and `cos_sin` the cosine and sine of
     the angles, (M, 2) or (2,). `kind` is the row of the shapes' grey values in the array that
-    `Camera._sprites` describes."""
+    `Camera._make_sprites` describes."""
 
     kind: int
     path: np.ndarray
@@ -294,8 +302,8 @@ class Camera:
             self._lens = None
         self._to_image = homography(rig)
         height, width = rig.camera.height_px, rig.camera.width_px
-        self._light = _light(width, height)
-        self._places = _pixel_places(rig)
+        self._light = _light_profile(width, height)
+        self._places = _pixel_positions(rig)
         corners = np.array(rig.camera.corners_px)
         self._scale = float(np.linalg.norm(corners[1] - corners[0]) / rig.plate.length_m)
         inside = rig.plate.half - np.abs(self._places)
@@ -305,7 +313,7 @@ class Camera:
         self._paint_plate(self._empty, np.zeros((1, 3)), np.arange(width * height), 0.0)
         self._canvas = np.empty_like(self._empty)
         self._types = [PartType("", radius_m=rig.parts.radius_m, symmetry=0)]
-        self._outlines = outlines_of(self._types)
+        self._outlines = make_outlines(self._types)
 
     def render(
         self,
@@ -369,16 +377,20 @@ class Camera:
             part is as high as the camera. Also if heights are given but the rig file does not
             contain the position of the camera (`camera_place`).
         """
-        path = self._path(position, velocity)
+        path = self._exposure_path(position, velocity)
         count = path.shape[1]
         colour = np.ndim(grey) == 2
-        values = _checked("grey", grey, (count, 3) if colour else (count,))
-        angles = np.zeros(count) if angle is None else _checked("angle", angle, (count,))
-        scene = self._solids(path, types, height, size)
-        sprites, outlines, kind = self._sprites(
+        values = _check_array("grey", grey, (count, 3) if colour else (count,))
+        angles = np.zeros(count) if angle is None else _check_array("angle", angle, (count,))
+        scene = self._project_parts(path, types, height, size)
+        sprites, outlines, kind = self._make_sprites(
             scene, angles, angle is not None and types is None, lighting
         )
-        robot = None if gripper is None else self._robot(_checked("gripper", gripper, (2,)))
+        robot = (
+            None
+            if gripper is None
+            else self._make_robot_sprites(_check_array("gripper", gripper, (2,)))
+        )
         channels = []
         for value in values.T if colour else [values]:
             canvas = self._canvas
@@ -387,7 +399,7 @@ class Camera:
                 bands = pose if np.ndim(pose) == 3 else [pose]
                 ends = len(canvas) * np.arange(len(bands) + 1) // len(bands)
                 for k, poses in enumerate(bands):
-                    self._move_plate(canvas, _samples("pose", poses, (3,)), ends[k : k + 2])
+                    self._move_plate(canvas, _check_samples("pose", poses, (3,)), ends[k : k + 2])
             marks = np.where(value < LIGHT, MARK_OF_DARK, MARK_OF_LIGHT)
             black, white = np.zeros(count), np.full(count, WHITE)
             shades = np.concatenate([black, value, marks, white, lighting.side_shade * value])[kind]
@@ -409,7 +421,7 @@ class Camera:
             channels.append(image)
         return np.stack(channels, axis=2) if colour else channels[0]
 
-    def _path(self, position: np.ndarray, velocity: np.ndarray | None) -> np.ndarray:
+    def _exposure_path(self, position: np.ndarray, velocity: np.ndarray | None) -> np.ndarray:
         """Return samples of the positions of each part over the exposure (s, M, 2) [m]. There are
         at least two samples."""
         position = np.asarray(position, dtype=float)
@@ -419,15 +431,15 @@ class Camera:
             )
         if position.ndim != 3:
             position = position.reshape(1, -1, 2)
-        path = _samples("position", position, position.shape[1:])
+        path = _check_samples("position", position, position.shape[1:])
         if len(path) > 1:
             return path
         if velocity is None:
             return np.concatenate([path, path])
-        velocity = _checked("velocity", velocity, path.shape[1:])
+        velocity = _check_array("velocity", velocity, path.shape[1:])
         return np.concatenate([path, path + self._rig.camera.exposure_s * velocity])
 
-    def _outlines_of(self, types: Sequence[PartType] | None, count: int) -> Outlines:
+    def _make_outlines(self, types: Sequence[PartType] | None, count: int) -> Outlines:
         """Return the outlines of `count` parts. If several parts have the same type, their outline
         is computed only once."""
         if types is not None and len(types) != count:
@@ -435,11 +447,11 @@ class Camera:
         new = [part for part in dict.fromkeys(types or ()) if part not in self._types]
         if new:
             self._types += new
-            self._outlines = outlines_of(self._types)
+            self._outlines = make_outlines(self._types)
         row = [0] * count if types is None else [self._types.index(part) for part in types]
         return self._outlines.take(np.array(row, int))
 
-    def _solids(
+    def _project_parts(
         self,
         path: np.ndarray,
         types: Sequence[PartType] | None,
@@ -454,32 +466,32 @@ class Camera:
         """
         count = path.shape[1]
         kinds = [self._types[0]] * count if types is None else types
-        top = self._outlines_of(types, count)
+        top = self._make_outlines(types, count)
         if size is not None:
-            size = _checked("size", size, (count,))
-            top = scaled(top, size)
+            size = _check_array("size", size, (count,))
+            top = scale_outlines(top, size)
         if height is None:
             return _Solids(kinds, path, top, path, size)
-        high = _checked("height", height, (count,))
-        if self._place is None:
+        high = _check_array("height", height, (count,))
+        if self._camera_position is None:
             if not high.any():
                 return _Solids(kinds, path, top, path, size)
             raise PlateError(
                 f"height is {high.tolist()} m and the camera's position is unknown, allowed: 0; "
                 "for other heights, give focal_px or camera: height_m in the rig file"
             )
-        low, above = self._place[:2], float(self._place[2])
+        low, above = self._camera_position[:2], float(self._camera_position[2])
         if np.any((high < 0) | (high >= above)):
             raise PlateError(f"height: {high.tolist()} m, allowed: 0 to less than {above:g}")
         growth = above / (above - high)
         seen = low + growth[:, None] * (path - low)
-        return _Solids(kinds, path, scaled(top, growth), seen, size, growth, low)
+        return _Solids(kinds, path, scale_outlines(top, growth), seen, size, growth, low)
 
     @cached_property
-    def _place(self) -> np.ndarray | None:
+    def _camera_position(self) -> np.ndarray | None:
         return camera_place(self._rig)
 
-    def _sprites(
+    def _make_sprites(
         self, scene: _Solids, angle: np.ndarray, marked: bool, lighting: Lighting
     ) -> tuple[Sprites, Outlines, np.ndarray]:
         """Return the shapes in the order in which they are drawn: shadows, side faces, top faces,
@@ -505,7 +517,7 @@ class Camera:
             shadows = []
             for step in np.linspace(-1, 1, PENUMBRA_STEPS):
                 growth = np.maximum(1 + step * lighting.penumbra_m / (2 * reach), 0.0)
-                outlines = swept(scene.types, cos_sin, size, growth, shift)
+                outlines = sweep_outlines(scene.types, cos_sin, size, growth, shift)
                 shadows.append(_Layer(0, scene.path + shift / 2, outlines, opacity, level))
             layers = [*shadows, *layers]
         first = len(layers) - 1
@@ -516,7 +528,9 @@ class Camera:
             reach = size * [part.reach_m for part in scene.types]
             extent = self._scale * (np.hypot(*rise.T) + swell[:, 0] * reach)
             part = np.maximum(1 - EDGE_PX / np.maximum(extent, EDGE_PX), 0)[:, None]
-            outlines = swept(scene.types, cos_sin, size, 1 + (part * swell)[:, 0], part * rise)
+            outlines = sweep_outlines(
+                scene.types, cos_sin, size, 1 + (part * swell)[:, 0], part * rise
+            )
             layers.insert(first, _Layer(4, scene.path + part * rise / 2, outlines, 1.0, level))
         if marked:
             marks = own.discs(MARK_RADIUS * own.reach)
@@ -535,9 +549,12 @@ class Camera:
             there = there - GLOSS_PLACE * depth[:, None] * lighting.shadow_direction
             layers.append(_Layer(3, path + there, own.discs(lighting.gloss * depth), 1.0, cos_sin))
         every = [layer.outlines for layer in layers]
-        there, outlines = np.concatenate([layer.path for layer in layers], axis=1), joined(every)
+        there, outlines = (
+            np.concatenate([layer.path for layer in layers], axis=1),
+            concatenate_outlines(every),
+        )
         sprites = Sprites(
-            *self._windows(there, outlines.reach), there, outlines.reach,
+            *self._motion_windows(there, outlines.reach), there, outlines.reach,
             np.concatenate([np.broadcast_to(layer.cos_sin, (count, 2)) for layer in layers]),
             np.full(there.shape[1], WHITE),
             np.repeat([layer.opacity for layer in layers], count),
@@ -555,12 +572,12 @@ class Camera:
             sprites, outlines, kind = sprites.take(order), outlines.take(order), kind[order]
         return sprites, outlines, kind
 
-    def _robot(self, gripper: np.ndarray) -> Sprites:
+    def _make_robot_sprites(self, gripper: np.ndarray) -> Sprites:
         """Return the shapes of a robot whose gripper is at the position `gripper` (2,) [m,
         plate_home]."""
         outlines, count = _robot_outlines(), len(ROBOT)
         path = np.tile(gripper, (2, count, 1))
-        window, scale, copies = self._windows(path, outlines.reach)
+        window, scale, copies = self._motion_windows(path, outlines.reach)
         offset = self._places - gripper
         covered = (np.abs(offset[..., 0]) < ARM_M) & (offset[..., 1] > -ARM_M)
         for axis in (0, 1):
@@ -578,7 +595,7 @@ class Camera:
             np.ones(count),
         )
 
-    def _windows(
+    def _motion_windows(
         self, path: np.ndarray, radius: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the values `window`, `scale` and `copies` of n shapes, as described in `Sprites`.
@@ -609,7 +626,7 @@ class Camera:
         window = np.stack([low[:, 1], high[:, 1], low[:, 0], high[:, 0]], axis=1)
         scale = np.sqrt(area)
         length = np.linalg.norm(np.diff(path, axis=0), axis=2).sum(axis=0)
-        return window, scale, _copies(length * scale)
+        return window, scale, _copy_counts(length * scale)
 
     def _move_plate(self, canvas: np.ndarray, poses: np.ndarray, rows: np.ndarray) -> None:
         """Repaint the pixels that differ between a plate at home and a plate that moves through the
@@ -626,20 +643,20 @@ class Camera:
     def _paint_plate(
         self, canvas: np.ndarray, poses: np.ndarray, pixels: np.ndarray, travel: float
     ) -> None:
-        copies = int(_copies(np.array(travel * self._scale), EDGE_STEP_PX))
+        copies = int(_copy_counts(np.array(travel * self._scale), EDGE_STEP_PX))
         draw_plate(
             canvas.ravel(), self._light.ravel(), self._places.reshape(-1, 2), pixels, poses, copies,
             travel, self._rig.plate.half, self._scale, self._greys,
         )  # fmt: skip
 
 
-def _copies(length_px: np.ndarray, step_px: float = BLUR_STEP_PX) -> np.ndarray:
+def _copy_counts(length_px: np.ndarray, step_px: float = BLUR_STEP_PX) -> np.ndarray:
     """Return the numbers of positions that are averaged to draw the motion blur of paths with the
     lengths (n,) [px]."""
     return np.minimum(MAX_BLUR, 1 + length_px / step_px).astype(int)
 
 
-def _checked(name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+def _check_array(name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     """Convert `value`, whose rows belong to parts, to an array. Raise an error if the shape is
     wrong, or if a number is not finite."""
     array = np.ascontiguousarray(value, dtype=float)
@@ -651,7 +668,7 @@ def _checked(name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray
     return array
 
 
-def _samples(name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+def _check_samples(name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     """Convert `value` to an array of samples (s, *shape). If `value` has the shape `shape`, it
     becomes one sample. Raise an error if the shape is wrong, or if a number is not finite."""
     array = np.ascontiguousarray(value, dtype=float)
@@ -666,7 +683,7 @@ def _samples(name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray
 
 
 @lru_cache(maxsize=2)
-def _pixel_places(rig: Rig) -> np.ndarray:
+def _pixel_positions(rig: Rig) -> np.ndarray:
     """Return the point of the plate's plane that each pixel shows, (height, width, 2) [m,
     plate_home]."""
     camera = rig.camera
@@ -679,7 +696,7 @@ def _pixel_places(rig: Rig) -> np.ndarray:
     return places.reshape(*u.shape, 2)
 
 
-def _light(width: int, height: int) -> np.ndarray:
+def _light_profile(width: int, height: int) -> np.ndarray:
     """Return the brightness of each pixel as a fraction of full brightness, (height, width),
     float32.
 
@@ -692,7 +709,7 @@ def _light(width: int, height: int) -> np.ndarray:
 
 @lru_cache(maxsize=1)
 def _robot_outlines() -> Outlines:
-    return outlines_of(ROBOT)
+    return make_outlines(ROBOT)
 
 
 @lru_cache(maxsize=4)

@@ -105,7 +105,7 @@ class Sprites(NamedTuple):
         return Sprites(*(path if each is self.path else each[rows] for each in self))
 
 
-def joined(groups: Sequence[Outlines]) -> Outlines:
+def concatenate_outlines(groups: Sequence[Outlines]) -> Outlines:
     """Concatenate several groups of outlines. Groups with the same array of edges share one copy of
     this array."""
     first = groups[0]
@@ -131,7 +131,7 @@ def joined(groups: Sequence[Outlines]) -> Outlines:
     )
 
 
-def outlines_of(types: Sequence[PartType]) -> Outlines:
+def make_outlines(types: Sequence[PartType]) -> Outlines:
     """Return the outlines of parts of these types."""
     edges: list[np.ndarray] = [np.empty((0, 3))]
     pieces, rows = [0], []
@@ -140,16 +140,16 @@ def outlines_of(types: Sequence[PartType]) -> Outlines:
         holes = [piece for hole in part.holes for piece in convex_pieces(np.array(hole))]
         begin = len(pieces) - 1
         for polygon in (*solid, *holes):
-            edges.append(edges_of(polygon))
+            edges.append(polygon_edges(polygon))
             pieces.append(pieces[-1] + len(polygon))
         rows.append((begin, begin + len(solid), len(pieces) - 1))
     first, hole, end = np.array(rows, np.int64).reshape(-1, 3).T.copy()
     reach = np.array([part.reach_m for part in types])
-    spot = np.array([_spot(part) for part in types])
+    spot = np.array([_highlight_circle(part) for part in types])
     return Outlines(np.concatenate(edges), np.array(pieces), first, hole, end, reach, spot)
 
 
-def _spot(part: PartType) -> tuple[float, float, float, float]:
+def _highlight_circle(part: PartType) -> tuple[float, float, float, float]:
     """Return the row of `Outlines.spot` for a part type (4,). The farthest point is searched for on
     a grid with `SPOT_GRID` points per axis."""
     axis = part.reach_m * np.linspace(-1, 1, SPOT_GRID)
@@ -161,7 +161,7 @@ def _spot(part: PartType) -> tuple[float, float, float, float]:
     return float(place[best, 0]), float(place[best, 1]), float(depth[best]), part.area_m2
 
 
-def edges_of(corner: np.ndarray) -> np.ndarray:
+def polygon_edges(corner: np.ndarray) -> np.ndarray:
     """Return the edges (k, 3) of a convex polygon with the corners (k, 2) in counter-clockwise
     order. The edges have the form of `Outlines.edges`."""
     side = np.roll(corner, -1, axis=0) - corner

@@ -22,7 +22,7 @@ import numpy as np
 from plate_core.rig import PartType
 
 from ..friction.outline import convex_pieces
-from .raster import Outlines, edges_of
+from .raster import Outlines, polygon_edges
 
 ROUND = 96
 """Number of edges of the polygon that replaces a disc in a swept area. The edges of the polygon
@@ -42,7 +42,7 @@ class _Contour(NamedTuple):
     radius: float = 0.0
 
 
-def scaled(outlines: Outlines, factor: np.ndarray) -> Outlines:
+def scale_outlines(outlines: Outlines, factor: np.ndarray) -> Outlines:
     """Return the outlines of M parts after they were enlarged about their centres by the factors
     (M,)."""
     edges: list[np.ndarray] = [np.empty((0, 3))]
@@ -61,7 +61,7 @@ def scaled(outlines: Outlines, factor: np.ndarray) -> Outlines:
     )  # fmt: skip
 
 
-def swept(
+def sweep_outlines(
     types: Sequence[PartType],
     cos_sin: np.ndarray,
     size: np.ndarray,
@@ -96,11 +96,11 @@ def swept(
     begin = 0
     for part in dict.fromkeys(types):
         rows = np.array([k for k, other in enumerate(types) if other == part])
-        solid, holes = _contours(part)
+        solid, holes = _convex_contours(part)
         c, s = cos_sin[rows].T
         rotation = np.stack([np.stack([c, -s], axis=1), np.stack([s, c], axis=1)], axis=1)
         own = [
-            _swept_piece(piece, rotation, size[rows], growth[rows], shift[rows], kind)
+            _sweep_piece(piece, rotation, size[rows], growth[rows], shift[rows], kind)
             for kind, group in ((True, solid), (False, holes))
             for piece in group
         ]
@@ -115,7 +115,7 @@ def swept(
     return Outlines(np.concatenate(edges), pieces, first, hole, end, reach, np.zeros((count, 4)))
 
 
-def _swept_piece(
+def _sweep_piece(
     piece: _Contour,
     rotation: np.ndarray,
     size: np.ndarray,
@@ -139,7 +139,7 @@ def _swept_piece(
         tangent, touch = (
             _disc_tangents(piece.radius * size, growth, shift)
             if piece.radius
-            else _tangents(piece.corners, rotation, size, growth, shift)
+            else _polygon_tangents(piece.corners, rotation, size, growth, shift)
         )
         # If the section of a piece at one end is inside the section at the other end, the two
         # sections have no common tangents. In this case, the first edge of the piece is repeated,
@@ -170,7 +170,7 @@ def _disc_tangents(
     return np.stack([np.cos(angle), np.sin(angle)], axis=2), touch
 
 
-def _tangents(
+def _polygon_tangents(
     corners: np.ndarray,
     rotation: np.ndarray,
     size: np.ndarray,
@@ -205,7 +205,7 @@ def _tangents(
 
 
 @lru_cache(maxsize=64)
-def _contours(part: PartType) -> tuple[list[_Contour], list[_Contour]]:
+def _convex_contours(part: PartType) -> tuple[list[_Contour], list[_Contour]]:
     """Return the convex pieces of a part type, and the convex pieces of its holes."""
     if part.radius_m:
         angle = 2 * np.pi * np.arange(ROUND) / ROUND
@@ -213,10 +213,10 @@ def _contours(part: PartType) -> tuple[list[_Contour], list[_Contour]]:
         edges = np.column_stack([normal, np.full(ROUND, part.radius_m)])
         solid = [_Contour(part.radius_m * normal, edges, part.radius_m)]
     else:
-        solid = [_contour(piece) for piece in convex_pieces(part.polygon)]
-    holes = [_contour(piece) for hole in part.holes for piece in convex_pieces(np.array(hole))]
+        solid = [_make_contour(piece) for piece in convex_pieces(part.polygon)]
+    holes = [_make_contour(piece) for hole in part.holes for piece in convex_pieces(np.array(hole))]
     return solid, holes
 
 
-def _contour(polygon: np.ndarray) -> _Contour:
-    return _Contour(np.asarray(polygon), edges_of(polygon))
+def _make_contour(polygon: np.ndarray) -> _Contour:
+    return _Contour(np.asarray(polygon), polygon_edges(polygon))

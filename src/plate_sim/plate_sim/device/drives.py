@@ -120,17 +120,17 @@ class SimulatedDrives:
 
     def __init__(self, drives: Sequence[Drive]) -> None:
         zeros = [0 if drive.absolute else 100_000 * drive.node for drive in drives]
-        self._start(drives, zeros)
+        self._make_nodes(drives, zeros)
         self._scale = np.array([drive.counts_per_m * drive.sign for drive in drives])
         self.zeros = np.array(zeros)
         """Positions of the drives at home [counts]."""
         self._state = np.zeros((3, len(drives)))
         # Setpoints of the motors at the start and at the end of the present bus cycle [m].
         self._from = self._to = np.zeros(len(drives))
-        self._into = 0.0
+        self._time_since_sync_s = 0.0
         self._now_ms = 0
 
-    def _start(self, drives: Sequence[Drive], zeros: Sequence[int]) -> None:
+    def _make_nodes(self, drives: Sequence[Drive], zeros: Sequence[int]) -> None:
         self._nodes = [_Node(drive, zero) for drive, zero in zip(drives, zeros, strict=True)]
 
     @property
@@ -148,7 +148,7 @@ class SimulatedDrives:
         answers: list[Frame] = []
         for identifier, data in frames:
             if identifier == SYNC:
-                answers += self._synchronised()
+                answers += self._process_sync()
                 continue
             for node in self._nodes:
                 if identifier == RPDO + node.drive.node:
@@ -162,35 +162,38 @@ class SimulatedDrives:
                         node.operational = data[0] == 1
         return answers
 
-    def _counts(self) -> list[int]:
+    def _encoder_counts(self) -> list[int]:
         return (np.rint(self._state[0] * self._scale).astype(int) + self.zeros).tolist()
 
-    def _synchronised(self) -> list[Frame]:
+    def _process_sync(self) -> list[Frame]:
         answers = []
-        for node, place in zip(self._nodes, self._counts(), strict=True):
+        for node, place in zip(self._nodes, self._encoder_counts(), strict=True):
             answers += node.synchronised(place)
         self._from = self._to
         self._to = (np.array([node.target for node in self._nodes]) - self.zeros) / self._scale
-        self._into = 0.0
+        self._time_since_sync_s = 0.0
         return answers
 
     def passed(self) -> list[Frame]:
         """Simulate one tick of the drives, and return the heartbeat messages that they send."""
         self._now_ms += 1
-        driven = self._driven()
+        driven = self._motor_state_after_tick()
         if not self.enabled.all():
             rest = np.zeros(len(driven[0]))
-            driven = np.where(self.enabled, driven, self._followed(rest, rest, COAST_RATE))
+            driven = np.where(self.enabled, driven, self._follow_setpoint(rest, rest, COAST_RATE))
         self._state = driven
-        return self._beats()
+        return self._heartbeats()
 
-    def _driven(self) -> np.ndarray:
-        before, self._into = self._into, min(self._into + TICK_S, CYCLE_S)
+    def _motor_state_after_tick(self) -> np.ndarray:
+        before, self._time_since_sync_s = (
+            self._time_since_sync_s,
+            min(self._time_since_sync_s + TICK_S, CYCLE_S),
+        )
         whole = (self._to - self._from) / CYCLE_S
-        slope = whole * (self._into - before) / TICK_S
-        return self._followed(self._from + whole * self._into, slope, BANDWIDTH)
+        slope = whole * (self._time_since_sync_s - before) / TICK_S
+        return self._follow_setpoint(self._from + whole * self._time_since_sync_s, slope, BANDWIDTH)
 
-    def _beats(self) -> list[Frame]:
+    def _heartbeats(self) -> list[Frame]:
         beats = []
         for node in self._nodes:
             period = node.objects.get((0x1017, 0), 0)
@@ -199,7 +202,7 @@ class SimulatedDrives:
                 beats.append((HEARTBEAT + node.drive.node, state))
         return beats
 
-    def _followed(self, setpoint: np.ndarray, slope: np.ndarray, rate: float) -> np.ndarray:
+    def _follow_setpoint(self, setpoint: np.ndarray, slope: np.ndarray, rate: float) -> np.ndarray:
         """Return travel, speed and acceleration of the motors (3, 4) one tick later. Each motor
         follows a setpoint that moves at constant speed, with critical damping. The motor's position
         x obeys e'' + 2 rate e' + rate^2 e = 0 with e = x - setpoint. The setpoint moves with the
@@ -249,7 +252,7 @@ class _ODrive:
 class SimulatedODrives(SimulatedDrives):
     """Four ODrives with their motors. Torque feedforward is not simulated."""
 
-    def _start(self, drives: Sequence[Drive], zeros: Sequence[int]) -> None:
+    def _make_nodes(self, drives: Sequence[Drive], zeros: Sequence[int]) -> None:
         del zeros
         self._odrives = {drive.node: _ODrive(drive) for drive in drives}
 
@@ -261,7 +264,9 @@ class SimulatedODrives(SimulatedDrives):
     def receive(self, frames: Sequence[Frame]) -> list[Frame]:
         """Process the frames of the master, and return the replies of the drives."""
         answers: list[Frame] = []
-        rotations = dict(zip(self._odrives, np.array(self._counts()) / ODRIVE_COUNTS, strict=True))
+        rotations = dict(
+            zip(self._odrives, np.array(self._encoder_counts()) / ODRIVE_COUNTS, strict=True)
+        )
         for identifier, data in frames:
             number = identifier >> 5 & 63
             if number in self._odrives:
@@ -271,15 +276,15 @@ class SimulatedODrives(SimulatedDrives):
                 )
         return answers
 
-    def _driven(self) -> np.ndarray:
+    def _motor_state_after_tick(self) -> np.ndarray:
         # The position x of a motor obeys x'' = w^2 (goal - x) + 2 w (speed - x'). `goal` and
         # `speed` are constant until the next setpoint arrives.
         requests = np.array([(node.goal, node.speed) for node in self._odrives.values()]).T
         goals, speeds = ODRIVE_COUNTS * requests
         setpoints = (goals - self.zeros + 2 / BANDWIDTH * speeds) / self._scale
-        return self._followed(setpoints, np.zeros(len(setpoints)), BANDWIDTH)
+        return self._follow_setpoint(setpoints, np.zeros(len(setpoints)), BANDWIDTH)
 
-    def _beats(self) -> list[Frame]:
+    def _heartbeats(self) -> list[Frame]:
         beats = []
         for number, node in self._odrives.items():
             if node.state == CLOSED_LOOP and self._now_ms - node.fed_ms > WATCHDOG_MS:

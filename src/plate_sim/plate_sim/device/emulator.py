@@ -120,14 +120,14 @@ class Emulator:
         schedule."""
         self._disconnected_until = self.now + self.schedule.disconnect_s
         self.connected = False
-        self._cut()
+        self._cut_line()
 
     def reset(self) -> None:
         """Restart the device. After a reset, the device has lost its state. The motors have no
         current."""
         self.device = Device(self._limits, (self.device.boot + 1) % 2**32, self.now_us)
         self._booting_until = self.now + BOOT_S
-        self._cut()
+        self._cut_line()
 
     def brown_out(self) -> None:
         """Interrupt the motors' supply for `BROWN_OUT_S`."""
@@ -178,6 +178,6 @@ class Emulator:
                 happen()
         self.connected = self.now >= self._disconnected_until
 
-    def _cut(self) -> None:
+    def _cut_line(self) -> None:
         self.to_device.cut()
         self.to_host.cut()

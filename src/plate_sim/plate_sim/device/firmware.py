@@ -113,7 +113,7 @@ class FirmwareOnDesk:
         for identifier, data in self._coming + self.drives.passed():
             self._send_order(f"can {identifier:x} {data.hex()}")
         self._send_order(f"run {TICK_US}")
-        frames = self._output()
+        frames = self._read_output()
         self._coming = self.drives.receive(frames)
         self.check.receive(frames, bool(self.drives.enabled.all()))
         return self._recorder.followed(self.now, None, self.drives.motors, self.triggered)
@@ -122,7 +122,7 @@ class FirmwareOnDesk:
         assert self._process.stdin is not None
         self._process.stdin.write(order + "\n")
 
-    def _output(self) -> list[Frame]:
+    def _read_output(self) -> list[Frame]:
         """Process the output of the firmware in one tick, and return the CAN frames in this
         output."""
         assert self._process.stdin is not None

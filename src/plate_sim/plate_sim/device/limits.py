@@ -106,38 +106,40 @@ def c_header(limits: DeviceLimits, name: str, drives: Sequence[Drive] = ()) -> s
         Drives of all motors. Empty if the motors have no drives.
     """
     values = [(field.name, getattr(limits, field.name)) for field in fields(limits)]
-    lines = [f"    .{key} = {_literal(np.asarray(value, np.float32))}," for key, value in values]
+    lines = [
+        f"    .{key} = {_literal_code(np.asarray(value, np.float32))}," for key, value in values
+    ]
     return "\n".join([
         f"/* Generated from {name} by `python -m plate_sim.device.limits_header`; do not edit. */",
         "static const Limits LIMITS = {",
         *lines,
         "};",
-        *(_drives(drives, limits) if drives else []),
+        *(_drives_code(drives, limits) if drives else []),
         "",
     ])  # fmt: skip
 
 
-def _drives(drives: Sequence[Drive], limits: DeviceLimits) -> list[str]:
+def _drives_code(drives: Sequence[Drive], limits: DeviceLimits) -> list[str]:
     """Return the C code that defines the drives and their kind."""
     head = ["#define HAS_DRIVES", f"#define HAS_{drives[0].kind.upper()}"]
-    made = map(_drive, drives, limits.fit)
+    made = map(_drive_code, drives, limits.fit)
     return [*head, "static const Drive DRIVES[MOTORS] = {", *made, "};"]
 
 
-def _drive(drive: Drive, fit: float) -> str:
+def _drive_code(drive: Drive, fit: float) -> str:
     """Return the C code of one drive."""
-    scale = _literal(np.asarray(drive.counts_per_m, np.float32))
+    scale = _literal_code(np.asarray(drive.counts_per_m, np.float32))
     absolute = str(drive.absolute).lower()
     values = (drive.node, scale, drive.sign, absolute, f"{drive.serial}u", f"{fit!s}f")
     return f"    {{{', '.join(map(str, values))}}},"
 
 
-def _literal(value: np.ndarray) -> str:
+def _literal_code(value: np.ndarray) -> str:
     """Return C code for an array or a number. The code contains the shortest decimal numbers that
     give the same values of the type float."""
     if value.ndim == 0:
         return f"{value[()]!s}f"
-    inner = [_literal(part) for part in value]
+    inner = [_literal_code(part) for part in value]
     if value.ndim == 1:
         return "{" + ", ".join(inner) + "}"
     return "{\n" + "".join(f"        {part},\n" for part in inner) + "    }"

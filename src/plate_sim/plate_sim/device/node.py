@@ -41,11 +41,11 @@ Without this limit, the device would report a timeout, although the host has sen
 time."""
 
 
-def _fraction(description: str) -> Any:
+def _fraction_parameter(description: str) -> Any:
     return parameter(0.0, description, 0.0, 1.0, live=True)
 
 
-def _every(description: str) -> Any:
+def _period_parameter(description: str) -> Any:
     return parameter(0.0, description, 0.0, 1e5, live=True)
 
 
@@ -63,15 +63,19 @@ class Options(NodeOptions):
     baud: float = parameter(
         921_600.0, "Speed of the line [bit/s]. 0 means that bytes take no time.", 0, 1e9, live=True
     )
-    dropped: float = _fraction("Fraction of bytes that are lost on the line.")
-    corrupted: float = _fraction("Fraction of bytes that are changed on the line.")
-    repeated: float = _fraction("Fraction of bytes that are repeated on the line.")
-    split: float = _fraction("Fraction of transmissions that arrive in two parts.")
+    dropped: float = _fraction_parameter("Fraction of bytes that are lost on the line.")
+    corrupted: float = _fraction_parameter("Fraction of bytes that are changed on the line.")
+    repeated: float = _fraction_parameter("Fraction of bytes that are repeated on the line.")
+    split: float = _fraction_parameter("Fraction of transmissions that arrive in two parts.")
     delay: float = parameter(0.0, "Delay of the line in each direction [s].", 0.0, 1.0, live=True)
-    disconnect_every: float = _every("Time between two disconnections [s]. 0 disables them.")
+    disconnect_every: float = _period_parameter(
+        "Time between two disconnections [s]. 0 disables them."
+    )
     disconnect_s: float = parameter(2.0, "Duration of a disconnection [s].", 0.0, 1e3, live=True)
-    reset_every: float = _every("Time between two resets of the device [s]. 0 disables them.")
-    brown_out_every: float = _every("Time between two brown-outs [s]. 0 disables them.")
+    reset_every: float = _period_parameter(
+        "Time between two resets of the device [s]. 0 disables them."
+    )
+    brown_out_every: float = _period_parameter("Time between two brown-outs [s]. 0 disables them.")
 
     @property
     def schedule(self) -> FaultSchedule:
@@ -98,22 +102,22 @@ class DeviceNode(SafeLifecycleNode[Options]):
 
     def __init__(self) -> None:
         super().__init__("device", Options)
-        self.report(self._find, self._values, "device", self._begin_report)
+        self.report(self._diagnose, self._diagnostic_values, "device", self._begin_report)
 
     def configure(self) -> None:
         """Read the rig file, and create the serial port."""
         options = self.options
         self._rig = load_rig(options.rig_file)
-        self._emulator = self._made()
+        self._emulator = self._make_device()
         self._terminal = PseudoTerminal(options.link)
         self.keep(PseudoTerminal.unplug, self._terminal)
         self._terminal.plug()
         self._motions = self.managed_publisher(JointTrajectory, "motor_motion", DATA)
         self._pulses = self.managed_publisher(Header, "camera_trigger", DATA)
-        self.managed_timer(SERVE_PERIOD_S, self._serve)
+        self.managed_timer(SERVE_PERIOD_S, self._on_serve_timer)
         self.get_logger().info(f"serial port: {options.link}")
 
-    def _made(self) -> Emulator | FirmwareOnDesk:
+    def _make_device(self) -> Emulator | FirmwareOnDesk:
         options, rig = self.options, self._rig
         if options.firmware:
             desk = FirmwareOnDesk(options.firmware, rig, options.seed, options.schedule)
@@ -139,7 +143,7 @@ class DeviceNode(SafeLifecycleNode[Options]):
         """Apply new values of the parameters for faults."""
         self._emulator.configure(self.options.schedule)
 
-    def _serve(self) -> None:
+    def _on_serve_timer(self) -> None:
         """Simulate the device up to the current time, and exchange bytes with the port."""
         emulator, received = self._emulator, self._terminal.read()
         due = (time.monotonic_ns() - self._steady_ns) // 1_000 - emulator.now_us
@@ -157,28 +161,28 @@ class DeviceNode(SafeLifecycleNode[Options]):
         emulator.to_device.sent(received, emulator.now + ticks * TICK_US * 1e-6)
         for _ in range(ticks):
             for segment in emulator.tick():
-                self._publish(segment)
+                self._publish_motion(segment)
             if emulator.triggered:
-                self._pulses.publish(Header(stamp=self._stamp(emulator.now)))
+                self._pulses.publish(Header(stamp=self._to_ros_time(emulator.now)))
         self._terminal.write(emulator.to_host.arrived(emulator.now))
 
-    def _publish(self, segment: Segment) -> None:
+    def _publish_motion(self, segment: Segment) -> None:
         joints = [motor.name for motor in self._rig.motors]
         q, qd, qdd = segment.motors.transpose(1, 0, 2)
-        stamp = self._stamp(segment.start)
+        stamp = self._to_ros_time(segment.start)
         self._motions.publish(trajectory_to_msg(joints, segment.times, q, qd, qdd, stamp))
 
-    def _stamp(self, time_s: float) -> Time:
+    def _to_ros_time(self, time_s: float) -> Time:
         """Convert a time of the device's clock [s] to a ROS stamp."""
         return to_time(self._begin_ns + round(time_s * 1e9))
 
-    def _find(self, _: float) -> Finding:
+    def _diagnose(self, _: float) -> Finding:
         faults = self._emulator.faults
         names = [fault.name.lower().replace("_", " ") for fault in faults if fault.name]
         level = Level.WARN if faults else Level.OK
         return Finding(level, ", ".join(names) or str(self._emulator.values()["state"]))
 
-    def _values(self) -> Mapping[str, object]:
+    def _diagnostic_values(self) -> Mapping[str, object]:
         return {
             **self._emulator.values(),
             "latest tick [ms]": f"{self._late_ms:.1f}",

@@ -118,15 +118,15 @@ class Recorder:
             ticks, states, _ = device.table()
             start = now - play[2] * TICK_S
             whole = Segment(start, ticks * TICK_S, states.astype(float), device.playing)
-            done = self._cut(start, whole.motors[0])
+            done = self._end_segment(start, whole.motors[0])
             self._whole, self._play = whole, play[:2]
         state = self.coasted(now - self._ticks[-1][0]) if at is None else at.astype(float)
         self._ticks.append((now, state))
         if triggered or (self._whole is None and now - self._start >= SEGMENT_S):
-            done += self._cut(now, state)
+            done += self._end_segment(now, state)
         return done
 
-    def _cut(self, when: float, end: np.ndarray) -> list[Segment]:
+    def _end_segment(self, when: float, end: np.ndarray) -> list[Segment]:
         """End the present segment at the time `when` [s], and return it in a list. `end` (3, 4)
         contains position, speed and acceleration of the motors at this time."""
         start, ticks, last = self._start, self._ticks, self._whole
@@ -161,7 +161,9 @@ class SuspendedPlate:
         self._state = np.zeros(STATE)
         self._last = np.zeros(INPUT)
         columns = np.eye(STATE + 2 * INPUT) * SCALE
-        self._tick = np.stack([_after(rig, tick_s, column) for column in columns], 1) / SCALE
+        self._tick = (
+            np.stack([_state_after_tick(rig, tick_s, column) for column in columns], 1) / SCALE
+        )
         self._levers = rig.motor_levers
         self._inverse = np.linalg.pinv(self._levers)
 
@@ -181,7 +183,7 @@ class SuspendedPlate:
         return np.asarray(setpoint[::2] + missed.reshape(2, 3) @ self._levers.T)
 
 
-def _after(rig: Rig, tick_s: float, before: np.ndarray) -> np.ndarray:
+def _state_after_tick(rig: Rig, tick_s: float, before: np.ndarray) -> np.ndarray:
     """Return the state of the plate (10,) one tick later, followed by its acceleration (3,).
     `before` contains the present state, and the setpoints at the start and the end of the tick."""
     pose, twist, force = before[:3], before[3:6], before[6:STATE]

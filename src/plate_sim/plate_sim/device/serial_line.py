@@ -36,11 +36,11 @@ class Line:
         """Send bytes at the time `now` [s]."""
         if not data:
             return
-        for late, part in self._split(data):
+        for late, part in self._split_randomly(data):
             start = max(now + self.faults.delay + late, self._free_at)
             baud = self.faults.baud
             self._free_at = start + (len(part) * BITS_PER_BYTE / baud if baud else 0.0)
-            self._in_transit.append((self._free_at, self._damaged(part)))
+            self._in_transit.append((self._free_at, self._damage(part)))
 
     def idle(self, now: float) -> bool:
         """Return whether the sender has transmitted all bytes by the time `now` [s]."""
@@ -57,13 +57,13 @@ class Line:
         """Discard all bytes on the line."""
         self._in_transit, self._free_at = [], float("-inf")
 
-    def _split(self, data: bytes) -> list[tuple[float, bytes]]:
+    def _split_randomly(self, data: bytes) -> list[tuple[float, bytes]]:
         if len(data) < 2 or self._rng.random() >= self.faults.split:
             return [(0.0, data)]
         cut = int(self._rng.integers(1, len(data)))
         return [(0.0, data[:cut]), (float(self._rng.uniform(0, SPLIT_S)), data[cut:])]
 
-    def _damaged(self, data: bytes) -> bytes:
+    def _damage(self, data: bytes) -> bytes:
         faults = self.faults
         if not (faults.dropped or faults.corrupted or faults.repeated):
             return data

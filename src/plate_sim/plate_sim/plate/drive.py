@@ -230,7 +230,10 @@ class Command:
         """Return the commanded pose (3,) and twist (3,), and the feedforward forces (4,). The time
         is `offset` [s] after the start of the piece `piece`."""
         row, offsets = slice(piece, piece + 1), np.array([offset])
-        pose, force = later(self.pose[row], offsets)[0], later(self.force[row], offsets)[0]
+        pose, force = (
+            shift_derivatives(self.pose[row], offsets)[0],
+            shift_derivatives(self.force[row], offsets)[0],
+        )
         return pose[0], pose[1], force[0]
 
 
@@ -241,7 +244,7 @@ def _derivative(derivatives: np.ndarray, order: int) -> np.ndarray:
     return np.pad(derivatives, ((0, 0), (0, order), (0, 0)))[:, order : order + width]
 
 
-def later(derivatives: np.ndarray, offset: np.ndarray) -> np.ndarray:
+def shift_derivatives(derivatives: np.ndarray, offset: np.ndarray) -> np.ndarray:
     """Return the time derivatives (m, DEGREE + 1, d) of m polynomials at times that are later by
     `offset` (m,) [s]."""
     order = np.arange(DEGREE + 1)

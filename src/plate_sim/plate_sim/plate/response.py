@@ -23,7 +23,7 @@ from plate_core import PlateCycle, Rig
 from plate_core.motion import motor_state, quintic_pieces
 from plate_core.rig import Suspension
 
-from .drive import DEGREE, Command, Plant, PlateState, later
+from .drive import DEGREE, Command, Plant, PlateState, shift_derivatives
 from .motion import PlateMotion
 
 POSE_ERROR = 1e-9
@@ -67,9 +67,9 @@ def realise(
         motion = PlateMotion(cycle.times, cycle.coefficients)
         end = PlateState(motion.pose(motion.period)[0], motion.twist(motion.period)[0], np.zeros(4))
     else:
-        plant = _plant(rig, rig.suspension)
+        plant = _make_plant(rig, rig.suspension)
         command = Command.of(plant, cycle)
-        motion, deviation = _respond(plant, command, plant.deviation(state, command))
+        motion, deviation = _simulate_response(plant, command, plant.deviation(state, command))
         end = plant.end(deviation, command)
     return motion, replace(end, overtravel_m=overtravel(rig, motion))
 
@@ -96,7 +96,7 @@ def overtravel(rig: Rig, motion: PlateMotion) -> float:
 
 
 @lru_cache(maxsize=16)
-def _plant(rig: Rig, suspension: Suspension) -> Plant:
+def _make_plant(rig: Rig, suspension: Suspension) -> Plant:
     return Plant.of(rig, suspension)
 
 
@@ -123,7 +123,7 @@ class _Spans:
         return _Spans(self.piece[rows], self.offset[rows], self.before[rows], self.after[rows])
 
 
-def _respond(
+def _simulate_response(
     plant: Plant, command: Command, deviation: np.ndarray
 ) -> tuple[PlateMotion, np.ndarray]:
     """Compute the motion for the initial deviation `deviation` (n,). Return the motion, and the
@@ -139,16 +139,16 @@ def _respond(
     kept = []
     for level in range(HALVINGS):
         half = step_responses(plant.system, steps / 2 ** (level + 1))[kind[spans.piece]]
-        inputs = later(command.forcing[spans.piece], spans.offset)
+        inputs = shift_derivatives(command.forcing[spans.piece], spans.offset)
         middle = advance(half, spans.before, inputs)
         step = command.steps[spans.piece] / 2**level
-        rough = _misses(plant, command, spans, middle, step)
+        rough = _is_inaccurate(plant, command, spans, middle, step)
         kept.append(spans.take(~rough))
-        spans = _halves(spans.take(rough), middle[rough], step[rough] / 2)
+        spans = _halve_spans(spans.take(rough), middle[rough], step[rough] / 2)
         if not len(spans.piece):
             break
     kept.append(spans)
-    return _motion(plant, command, kept), z[-1]
+    return _join_spans(plant, command, kept), z[-1]
 
 
 def step_responses(system: np.ndarray, steps: np.ndarray) -> np.ndarray:
@@ -191,7 +191,7 @@ def advance(response: np.ndarray, state: np.ndarray, derivatives: np.ndarray) ->
     return np.asarray((response @ inputs.reshape(len(state), -1, 1))[..., 0])
 
 
-def _misses(
+def _is_inaccurate(
     plant: Plant, command: Command, spans: _Spans, middle: np.ndarray, step: np.ndarray
 ) -> np.ndarray:
     """Return for each span (m,) whether its quintic polynomial differs too much from the exact
@@ -205,7 +205,7 @@ def _misses(
     p, q = spans.before[:, :3], spans.after[:, :3]
     v, w = spans.before[:, 3:6], spans.after[:, 3:6]
     accels = [
-        _accel(plant, command, spans.piece, spans.offset + fraction * step, z)
+        _deviation_accel(plant, command, spans.piece, spans.offset + fraction * step, z)
         for fraction, z in ((0.0, spans.before), (0.5, middle), (1.0, spans.after))
     ]
     pose = (p + q) / 2 + 5 / 32 * h * (v - w) + h**2 / 64 * (accels[0] + accels[2])
@@ -215,15 +215,15 @@ def _misses(
     return (miss > POSE_ERROR) | (3.44 * miss > TWIST_ERROR * step) | (miss_accel > ACCEL_ERROR)
 
 
-def _accel(
+def _deviation_accel(
     plant: Plant, command: Command, piece: np.ndarray, offset: np.ndarray, z: np.ndarray
 ) -> np.ndarray:
     """Return the second time derivative (m, 3) of the deviation of the pose."""
-    forcing = later(command.forcing[piece], offset)[:, 0, 3:6]
+    forcing = shift_derivatives(command.forcing[piece], offset)[:, 0, 3:6]
     return np.asarray(z @ plant.system[3:6].T + forcing)
 
 
-def _halves(spans: _Spans, middle: np.ndarray, half: np.ndarray) -> _Spans:
+def _halve_spans(spans: _Spans, middle: np.ndarray, half: np.ndarray) -> _Spans:
     """Cut m spans in the middle. `middle` (m, n) is the deviation z in the middle of each span.
     `half` (m,) [s] is half the length of each span."""
     return _Spans(
@@ -234,7 +234,7 @@ def _halves(spans: _Spans, middle: np.ndarray, half: np.ndarray) -> _Spans:
     )
 
 
-def _motion(plant: Plant, command: Command, kept: list[_Spans]) -> PlateMotion:
+def _join_spans(plant: Plant, command: Command, kept: list[_Spans]) -> PlateMotion:
     """Join spans, which may have any order, to one motion. The motion is the command plus the
     deviation."""
     names = ("piece", "offset", "before", "after")
@@ -244,8 +244,10 @@ def _motion(plant: Plant, command: Command, kept: list[_Spans]) -> PlateMotion:
     piece = np.concatenate([spans.piece, last])
     offset = np.concatenate([spans.offset, command.steps[last]])
     z = np.concatenate([spans.before, spans.after[-1:]])
-    accel = _accel(plant, command, piece, offset, z)
+    accel = _deviation_accel(plant, command, piece, offset, z)
     times = np.concatenate([command.times[spans.piece] + spans.offset, command.times[-1:]])
     deviation = quintic_pieces(times, z[:, :3], z[:, 3:6], accel)
     powers = np.array([1 / factorial(i) for i in range(DEGREE + 1)])[:, None]
-    return PlateMotion(times, later(command.pose[spans.piece], spans.offset) * powers + deviation)
+    return PlateMotion(
+        times, shift_derivatives(command.pose[spans.piece], spans.offset) * powers + deviation
+    )

@@ -213,7 +213,7 @@ def simulate_bodies(
         raise PlateError(
             f"footprint is a list of {len(parts)}, allowed: one Footprint, or {count} of them"
         )
-    states = columns([(position, angle, velocity, spin)])
+    states = check_starts([(position, angle, velocity, spin)])
     here = np.ones((1, count), bool)
     steps = every * max(1, samples)
     record = run_plates(
@@ -300,7 +300,7 @@ def run_plates(
     return record
 
 
-def columns(starts: Sequence[tuple[Any, Any, Any, Any]]) -> np.ndarray:
+def check_starts(starts: Sequence[tuple[Any, Any, Any, Any]]) -> np.ndarray:
     """Check the initial states of the parts on N plates, and convert them to an array (N, M, 6).
     Each item of `starts` contains position, angle, velocity and spin of the parts, with the array
     shapes of `simulate_bodies`."""
@@ -313,11 +313,11 @@ def columns(starts: Sequence[tuple[Any, Any, Any, Any]]) -> np.ndarray:
             states[..., own] = field
         if np.abs(states).max(initial=0.0) <= MAX_ABS:
             return states
-    # At least one value is wrong. `_columns` raises an error that names the wrong value.
-    return np.stack([_columns(*start) for start in starts])
+    # At least one value is wrong. `_check_start` raises an error that names the wrong value.
+    return np.stack([_check_start(*start) for start in starts])
 
 
-def _columns(
+def _check_start(
     position: np.ndarray, angle: float | np.ndarray, velocity: np.ndarray, spin: float | np.ndarray
 ) -> np.ndarray:
     """Check position, angle, velocity and spin of the parts, and convert them to an array (M,

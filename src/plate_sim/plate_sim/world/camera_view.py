@@ -129,7 +129,7 @@ class CameraView:
         self._height = height if np.any(height) else None
         self._size = None
         if world.size_spread:
-            units = [_own_number(self._seed, name) for name in ids]
+            units = [_part_random_number(self._seed, name) for name in ids]
             self._size = 1 + world.size_spread * np.array(units)
         self._typed = any(part_class(name) in self._rig.types for name in ids)
         self._nothing = np.zeros(len(ids), bool), np.zeros((0, 2)), np.zeros(0, np.int64)
@@ -177,7 +177,7 @@ class CameraView:
         if shown is None:
             return None
         hidden, place, like = shown
-        path, angle, seen, pose = self._view(state, plate, age)
+        path, angle, seen, pose = self._make_view(state, plate, age)
         false = len(like)
         drawn = np.append(np.flatnonzero(seen & ~hidden), like)
         spots = np.broadcast_to(place, (len(path), false, 2))
@@ -208,10 +208,10 @@ class CameraView:
         if shown is None:
             return None
         hidden, place, _ = shown
-        if self._shows_past:
-            path, angle, seen, _ = self._view(state, plate, age)
+        if self._shows_past_state:
+            path, angle, seen, _ = self._make_view(state, plate, age)
             return VisibleParts(path[len(path) // 2], angle, seen & ~hidden, place)
-        position = state.position + self._exposure * state.velocity
+        position = state.position + self._exposure_s * state.velocity
         seen = state.on_plate if shown is self._nothing else state.on_plate & ~hidden
         return VisibleParts(position, state.angle, seen, place)
 
@@ -238,27 +238,27 @@ class CameraView:
         return None if missed else (hidden, place, like)
 
     @property
-    def _shows_past(self) -> bool:
+    def _shows_past_state(self) -> bool:
         """Whether images show an earlier state than the present one."""
         return bool(self.past and self.history.passages)
 
     @property
-    def _exposure(self) -> float:
+    def _exposure_s(self) -> float:
         """Exposure time during which the motion of parts is visible [s]. 0 without motion blur."""
         return self._rig.camera.exposure_s if self._disturbances.blur else 0.0
 
-    def _view(
+    def _make_view(
         self, state: WorldState, plate: PlateState, age: float | None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
         """Return what an image shows, as four arrays. The first three arrays contain the positions
         of the parts over the exposure (s, M, 2), the angles (M,), and whether each part is on the
         plate (M,). The fourth array contains the poses of the plate. The poses have the shape (s,
         3), or (b, s, 3) for b bands of image rows. If the plate is at home, the poses are None."""
-        camera, exposure = self._rig.camera, self._exposure
-        if self._shows_past:
+        camera, exposure = self._rig.camera, self._exposure_s
+        if self._shows_past_state:
             shown = exposure + camera.readout_s
             first = self._disturbances.latency if age is None else age + shown / 2
-            return self._past_view(state, first, exposure, shown)
+            return self._make_past_view(state, first, exposure, shown)
         later = np.array([0.0, exposure])[:, None]
         path = state.position + later[:, None] * state.velocity
         if self._rig.suspension is None:
@@ -266,11 +266,11 @@ class CameraView:
         pose = plate.pose + later * plate.twist
         return path, state.angle, state.on_plate, pose
 
-    def _past_view(
+    def _make_past_view(
         self, state: WorldState, first: float, exposure: float, shown: float
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return the four arrays of `_view` for an image that shows an earlier time. The exposure
-        of the image's first row started `first` [s] ago.
+        """Return the four arrays of `_make_view` for an image that shows an earlier time. The
+        exposure of the image's first row started `first` [s] ago.
 
         The exposure of the image's last row ended `shown` [s] after the exposure of the first row
         had started.
@@ -324,7 +324,7 @@ def check_height(rig: Rig, disturbances: Disturbances) -> None:
             )
 
 
-def _own_number(seed: int, part_id: str) -> float:
+def _part_random_number(seed: int, part_id: str) -> float:
     """Return a random number from -1 to 1 (uniform distribution) for a part. The number depends
     only on the seed and on the id of the part."""
     rng = np.random.default_rng([seed, zlib.crc32(part_id.encode())])

@@ -17,7 +17,7 @@ distance inside it [m]. The side is that of the plate at home. The distance is n
 plate moves."""
 
 
-def went_over(side: Side, position: np.ndarray, rig: Rig) -> np.ndarray:
+def left_over_side(side: Side, position: np.ndarray, rig: Rig) -> np.ndarray:
     """Return for each part that left the plate whether it left over the side `side` (M,).
     `position` (M, 2) [m, plate_home] contains the positions at which the parts left."""
     sign = np.array([side.x, side.y])
@@ -54,7 +54,7 @@ class Departures:
         chute, by class."""
         if self._chute is None:
             return int(np.count_nonzero(left)), Counter()
-        over = went_over(self._chute, state.position, self._rig)
+        over = left_over_side(self._chute, state.position, self._rig)
         labels = Counter(part_class(state.ids[k]) for k in np.flatnonzero(left & over))
         return int(np.count_nonzero(left & ~over)), labels
 

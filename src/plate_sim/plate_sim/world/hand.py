@@ -58,7 +58,7 @@ class Hand:
             If there is no part with this id or no such type, no more parts are allowed, or the part
             would be outside the plate.
         """
-        label = self._checked(state, part_id, label, position, angle)
+        label = self._check_part(state, part_id, label, position, angle)
         unit = None
         if not part_id:
             part_id, unit = f"{label}_{number(label)}", self._rng.uniform(-1, 1)
@@ -74,7 +74,7 @@ class Hand:
         )
         return state, part_id, unit
 
-    def _checked(
+    def _check_part(
         self, state: WorldState, part_id: str, label: str, position: np.ndarray, angle: float
     ) -> str:
         """Check the id, class, place and angle of a part, and return its class."""

@@ -94,7 +94,7 @@ class History:
         """Return the history with one more part at the position `position` (2,) [m]. In all past
         cycles, this part was not on the plate."""
 
-        def beside(values: np.ndarray, value: np.ndarray | float) -> np.ndarray:
+        def append_part(values: np.ndarray, value: np.ndarray | float) -> np.ndarray:
             new = np.broadcast_to(value, (len(values), 1, *values.shape[2:]))
             return np.concatenate([values, new], axis=1)
 
@@ -103,9 +103,10 @@ class History:
                 Passage(
                     each.motion,
                     replace(
-                        each.run, position=beside(each.run.position, position),
-                        velocity=beside(each.run.velocity, 0.0), angle=beside(each.run.angle, 0.0),
-                        spin=beside(each.run.spin, 0.0),
+                        each.run, position=append_part(each.run.position, position),
+                        velocity=append_part(each.run.velocity, 0.0),
+                        angle=append_part(each.run.angle, 0.0),
+                        spin=append_part(each.run.spin, 0.0),
                         on_plate=np.append(each.run.on_plate, False),
                     ),
                     np.append(each.on_plate, False),
@@ -135,8 +136,8 @@ class History:
         t = passage.motion.period - age
         inside, beyond = min(max(t, 0.0), passage.motion.period), max(0.0, -age)
         run = passage.run
-        position, velocity = _between(run.time, run.position, run.velocity, inside)
-        angle, spin = _between(run.time, run.angle, run.spin, inside)
+        position, velocity = _interpolate(run.time, run.position, run.velocity, inside)
+        angle, spin = _interpolate(run.time, run.angle, run.spin, inside)
         pose, twist = passage.motion.pose(inside)[0], passage.motion.twist(inside)[0]
         # In the samples, a part that left the plate stays at the position where it left the plate.
         # The part left at the time of the first sample with this position.
@@ -146,7 +147,7 @@ class History:
         )
 
 
-def _between(
+def _interpolate(
     time: np.ndarray, place: np.ndarray, rate: np.ndarray, t: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Interpolate positions and velocities of samples. Return both (M, ...) at the time t [s].

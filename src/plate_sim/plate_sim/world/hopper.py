@@ -103,13 +103,13 @@ def drop_part(
     for _ in range(TRIES):
         radius, direction = hopper.spread_m * np.sqrt(rng.random()), rng.uniform(-np.pi, np.pi)
         place = np.array(hopper.place) + radius * np.array([np.cos(direction), np.sin(direction)])
-        found = _slid_off(others, kind, place, angle, limit)
+        found = _find_rest_position(others, kind, place, angle, limit)
         if found is not None:
             return Dropped(label, found, angle, unit)
     return None
 
 
-def _slid_off(
+def _find_rest_position(
     others: PartsOnPlate, kind: PartType, place: np.ndarray, angle: float, limit: np.ndarray
 ) -> np.ndarray | None:
     """Return the final position of a part that falls at the place `place` (2,) [m]. Return None if

@@ -75,7 +75,9 @@ def check_gripper(x: float, y: float, angle: float, rig: Rig) -> None:
         raise PlateError(f"angle is {angle:g}, allowed: finite")
 
 
-def grip(state: WorldState, rig: Rig, gripper: Sequence[float], slips: bool, marked: bool) -> Grip:
+def grip_nearest_part(
+    state: WorldState, rig: Rig, gripper: Sequence[float], slips: bool, marked: bool
+) -> Grip:
     """Compute the result of a grip of the nearest part. `gripper` is the pose x, y, angle of the
     gripper [m, m, rad, plate_home]. If `slips` is True, the part slips and is not taken.
 
@@ -107,7 +109,7 @@ def grip(state: WorldState, rig: Rig, gripper: Sequence[float], slips: bool, mar
     return Grip(not slips, name, nearest, error, f"{name} {done}{beside}")
 
 
-def nudged(
+def displace_slipped_part(
     state: WorldState, rig: Rig, part_id: str, rng: np.random.Generator
 ) -> tuple[np.ndarray, float]:
     """Return the new position (2,) [m, plate_home] and the new angle [rad] of a part that slipped
@@ -187,21 +189,21 @@ class Robot:
         if to not in set(Move):
             raise PlateError(f"to is {to}, allowed: 0 (away), 1 (over), 2 (grip)")
         if to == Move.AWAY:
-            self._go(None, now, shown)
+            self._record_station(None, now, shown)
             return state, Grip(True, message="the robot is away")
         check_gripper(*gripper, self._rig)
-        self._go(np.array([x, y]), now, shown)
+        self._record_station(np.array([x, y]), now, shown)
         if to == Move.OVER:
             return state, Grip(True, message=f"the robot is over ({x:.4f}, {y:.4f}) m")
         rng = self._rng.spawn(1)[0]  # separate random numbers for each grip
         slips = bool(rng.random() < failure)
-        result = grip(state, self._rig, gripper, slips, self._marked)
+        result = grip_nearest_part(state, self._rig, gripper, slips, self._marked)
         row = np.array([name == result.id for name in state.ids], bool)
         if result.success:
             self.taken |= {result.id}
             state = replace(state, on_plate=state.on_plate & ~row)
         elif result.id:
-            place, turned = nudged(state, self._rig, result.id, rng)
+            place, turned = displace_slipped_part(state, self._rig, result.id, rng)
             state = replace(
                 state,
                 position=np.where(row[:, None], place, state.position),
@@ -211,7 +213,7 @@ class Robot:
             )
         return state, result
 
-    def _go(self, place: np.ndarray | None, now: float, shown: float) -> None:
+    def _record_station(self, place: np.ndarray | None, now: float, shown: float) -> None:
         oldest = max(i for i, (since, _) in enumerate(self.stations) if since <= max(shown, 0.0))
         self.stations = [*self.stations[oldest:], (now, place)]
 

@@ -91,7 +91,7 @@ class Simulation:
         mu_scale: float = 1.0,
         contacts: Contacts = INELASTIC,
     ) -> None:
-        _check(noise=noise, mu_scale=mu_scale)
+        _check_ranges(noise=noise, mu_scale=mu_scale)
         check_height(rig, disturbances)
         if disturbances.image_rate > 0 and rig.camera.trigger is not None:
             raise PlateError(
@@ -122,7 +122,7 @@ class Simulation:
 
     def _set_types(self) -> None:
         """Set shapes, friction and appearance of the parts in the state."""
-        # cached result of `_limit`, if it does not depend on the positions of the parts
+        # cached result of `_friction_limit`, if it does not depend on the positions of the parts
         self._even_limit: np.ndarray | None = None
         types = [self._rig.part_type(part_class(name)) for name in self.state.ids]
         self._shapes = Shapes.of([footprint_of(part) for part in types])
@@ -136,7 +136,7 @@ class Simulation:
         return self._field.friction(mu, self.state.position, self.plate.pose)
 
     @property
-    def _limit(self) -> np.ndarray:
+    def _friction_limit(self) -> np.ndarray:
         """Maximum acceleration that friction can give each part at its current position (M,)
         [m/s2]."""
         if self._field.patches:
@@ -157,7 +157,7 @@ class Simulation:
             If the value of `noise` or `mu_scale` is outside its range, or parts get a height
             although the rig file does not contain the position of the camera.
         """
-        _check(noise=noise, mu_scale=mu_scale)
+        _check_ranges(noise=noise, mu_scale=mu_scale)
         check_height(self._rig, disturbances)
         self.disturbances, self._mu_scale = disturbances, mu_scale
         self._view.change(disturbances, noise)
@@ -199,15 +199,15 @@ class Simulation:
         run_cycle(state, PlateCycle.rest(TRIAL_S), self._rig)
         if own is not None:
             unit = np.append(unit, own)
-            self._last_number[part_class(part_id)] = _number(part_id)
+            self._last_number[part_class(part_id)] = _id_number(part_id)
         self._robot.taken -= {part_id}
-        self._take_over(state, unit, History())
+        self._replace_state(state, unit, History())
         return part_id
 
     def show(self, state: WorldState) -> None:
         """Replace the parts by the parts of another run, given by their state. These parts have the
         nominal friction, without individual deviations."""
-        self._take_over(state, np.zeros(len(state.ids)), History())
+        self._replace_state(state, np.zeros(len(state.ids)), History())
 
     def remove(self, part_id: str) -> None:
         """Remove a part from the plate, as if by hand.
@@ -220,21 +220,21 @@ class Simulation:
         state = self.state
         check_id(state, part_id)
         keep = np.array([name != part_id for name in state.ids])
-        self._take_over(state.take(keep), self._field.unit[keep], History())
+        self._replace_state(state.take(keep), self._field.unit[keep], History())
 
-    def _take_over(self, state: WorldState, unit: np.ndarray, history: History) -> None:
+    def _replace_state(self, state: WorldState, unit: np.ndarray, history: History) -> None:
         """Replace the state of the parts, their values `FrictionField.unit` (M,) and their
         history."""
         for name in self.state.ids:
             label = part_class(name)
-            self._last_number[label] = max(_number(name), self._last_number.get(label, 0))
+            self._last_number[label] = max(_id_number(name), self._last_number.get(label, 0))
         self.state, self._field = state, replace(self._field, unit=unit)
         self._view.history = history
         self._set_types()
 
     def _next_number(self, label: str) -> int:
         """Return the number for the id of the next part of a class. No number is used twice."""
-        there = max((_number(i) for i in self.state.ids if part_class(i) == label), default=0)
+        there = max((_id_number(i) for i in self.state.ids if part_class(i) == label), default=0)
         return 1 + max(there, self._last_number.get(label, 0))
 
     def open_hopper(self, duration_s: float) -> int:
@@ -283,7 +283,9 @@ class Simulation:
     @property
     def dropped(self) -> int:
         """Number of parts that left the plate over another side than that of the chute."""
-        return self._departures.dropped + self._departures.count(self.state, self._left)[0]
+        return (
+            self._departures.dropped + self._departures.count(self.state, self._has_left_plate)[0]
+        )
 
     @property
     def chuted(self) -> int:
@@ -293,15 +295,15 @@ class Simulation:
     @property
     def chuted_classes(self) -> Counter[str]:
         """Number of parts that left the plate over the side of the chute, by class."""
-        return self._departures.chuted + self._departures.count(self.state, self._left)[1]
+        return self._departures.chuted + self._departures.count(self.state, self._has_left_plate)[1]
 
     @property
-    def _left(self) -> np.ndarray:
+    def _has_left_plate(self) -> np.ndarray:
         """Whether each part left the plate (M,). The value is False for parts that the robot has
         taken."""
         return ~self.state.on_plate & ~self._robot.has(self.state.ids)
 
-    def _forget(self) -> None:
+    def _remove_invisible_parts(self) -> None:
         """Remove from the state those parts that later images cannot show. These
         are the parts that the robot has taken and, in a feed task, the parts that left the
         plate."""
@@ -313,11 +315,11 @@ class Simulation:
             away &= self._robot.has(state.ids)
         if not np.any(away):
             return
-        self._departures.forget(state, self._left & away)
-        self._take_over(state.take(~away), self._field.unit[~away], history.take(~away))
+        self._departures.forget(state, self._has_left_plate & away)
+        self._replace_state(state.take(~away), self._field.unit[~away], history.take(~away))
         self._robot.taken &= set(self.state.ids)
 
-    def _drop(self) -> None:
+    def _drop_part(self) -> None:
         """Drop one part from the hopper onto the plate, if there is free space."""
         part = self._hopper.drop(self.state)
         if part is None:
@@ -325,7 +327,7 @@ class Simulation:
         name = f"{part.label}_{self._next_number(part.label)}"
         state = self.state.joined(name, part.position, part.angle)
         unit = np.append(self._field.unit, part.unit)
-        self._take_over(state, unit, self._view.history.joined(part.position))
+        self._replace_state(state, unit, self._view.history.joined(part.position))
 
     def shots(self, begin: float) -> Iterator[Shot]:
         """Yield the times of the images of a free-running camera from the time `begin` [s] on. The
@@ -356,31 +358,31 @@ class Simulation:
 
         If the hopper is open, parts may drop onto the plate during the cycle.
         """
-        self._forget()
+        self._remove_invisible_parts()
         if not self._hopper.is_open:
-            self._run(cycle)
+            self._simulate_cycle(cycle)
             return
         begin, end = 0.0, cycle.period
         for at in self._hopper.after(end):
             if at - begin > MIN_S:
                 at = at if end - at > MIN_S else end
-                self._run(PlateMotion.piece(cycle, begin, at))
+                self._simulate_cycle(PlateMotion.piece(cycle, begin, at))
                 begin = at
-            self._drop()
+            self._drop_part()
         if begin == 0:
-            self._run(cycle)
+            self._simulate_cycle(cycle)
         elif begin < end:
-            self._run(PlateMotion.piece(cycle, begin, end))
+            self._simulate_cycle(PlateMotion.piece(cycle, begin, end))
 
-    def _run(self, cycle: PlateCycle | PlateMotion) -> None:
+    def _simulate_cycle(self, cycle: PlateCycle | PlateMotion) -> None:
         """Simulate the parts until the end of a cycle, or of a section of a cycle."""
         self._time += cycle.period
         motion: PlateCycle | PlateMotion = cycle
-        limit = self._limit
+        limit = self._friction_limit
         if self._rig.suspension is not None:
             motion, self.plate = realise(self._rig, self.plate, cycle)
         past = self._view.past
-        for path in self._move([self], [motion], [limit], 1, every=1 if past else 0):
+        for path in self._simulate_together([self], [motion], [limit], 1, every=1 if past else 0):
             plate = PlateMotion(motion.times, motion.coefficients)
             self._view.history = self._view.history.after(
                 Passage(plate, path, self.state.on_plate), past
@@ -401,10 +403,12 @@ class Simulation:
                 own._time += cycle.period
         for alike in plain.values():
             worlds, motions = zip(*alike, strict=True)
-            Simulation._move(worlds, motions, [world._limit for world in worlds], threads)
+            Simulation._simulate_together(
+                worlds, motions, [world._friction_limit for world in worlds], threads
+            )
 
     @staticmethod
-    def _move(
+    def _simulate_together(
         worlds: Sequence[Simulation],
         motions: Sequence[PlateCycle | PlateMotion],
         limits: Sequence[np.ndarray],
@@ -423,12 +427,12 @@ class Simulation:
         return paths
 
 
-def _check(**values: float) -> None:
+def _check_ranges(**values: float) -> None:
     for name, value in values.items():
         low, high = WORLD_RANGES[name]
         if not low <= value <= high:
             raise PlateError(f"{name} is {value:g}, allowed: {low:g} to {high:g}")
 
 
-def _number(part_id: str) -> int:
+def _id_number(part_id: str) -> int:
     return int(part_id.rpartition("_")[2])

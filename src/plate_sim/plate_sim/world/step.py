@@ -16,7 +16,7 @@ from ..contacts import INELASTIC, Contacts
 from ..friction.checks import friction_accel
 from ..friction.outline import footprint_of
 from ..plate import LEVEL, Ground, PlateMotion
-from .bodies import COLUMNS, STEP, BodyTrajectory, Shapes, columns, equal_steps, run_plates
+from .bodies import COLUMNS, STEP, BodyTrajectory, Shapes, check_starts, equal_steps, run_plates
 from .state import WorldState
 
 
@@ -52,7 +52,7 @@ def run_cycle(
         If a state is not finite, if parts overlap at the start, or if a coefficient or count is out
         of range.
     """
-    return _run(state, cycle, rig, mu, step, contacts, cycles, 0)[0]
+    return _run_cycles(state, cycle, rig, mu, step, contacts, cycles, 0)[0]
 
 
 def record_cycle(
@@ -67,11 +67,11 @@ def record_cycle(
 ) -> tuple[WorldState, BodyTrajectory]:
     """Return the same state as `run_cycle`, and the motion of the parts with one sample per
     integration step."""
-    after, (path,) = _run(state, cycle, rig, mu, step, contacts, cycles, 1)
+    after, (path,) = _run_cycles(state, cycle, rig, mu, step, contacts, cycles, 1)
     return after, path
 
 
-def _run(
+def _run_cycles(
     state: WorldState,
     cycle: PlateCycle | PlateMotion,
     rig: Rig,
@@ -124,7 +124,7 @@ def run_together(
         Number of threads.
     """
     ids, gravity = states[0].ids, rig.friction.gravity
-    moved = columns([(s.position, s.angle, s.velocity, s.spin) for s in states])
+    moved = check_starts([(s.position, s.angle, s.velocity, s.spin) for s in states])
     here = np.array([s.on_plate for s in states], bool)
     if here.shape != moved.shape[:2]:
         raise PlateError(f"on_plate has shape {here.shape[1:]}, allowed: ({len(ids)},)")
