@@ -94,12 +94,12 @@ def describe(hardware: bool, file: str) -> LaunchDescription:
             description=text,
             choices=["", *choices[name]] if name in choices else None,
         )
-        for name, text in arguments_of(hardware).items()
+        for name, text in argument_descriptions(hardware).items()
     ]
     return LaunchDescription([*arguments, OpaqueFunction(function=partial(start, hardware, file))])
 
 
-def arguments_of(hardware: bool) -> dict[str, str]:
+def argument_descriptions(hardware: bool) -> dict[str, str]:
     """Return the descriptions of a launch file's arguments, by name."""
     return (HARDWARE if hardware else SIMULATED) | COMMON
 
@@ -124,9 +124,11 @@ def check_arguments(hardware: bool, arguments: Sequence[str], file: str) -> None
     GraphError
         If an argument is unknown. The message contains its name and the allowed names.
     """
-    if not any(_names(file, before, word) for before, word in pairwise(["", *arguments])):
+    if not any(
+        _is_launch_file_name(file, before, word) for before, word in pairwise(["", *arguments])
+    ):
         return
-    known, other = arguments_of(hardware), arguments_of(not hardware)
+    known, other = argument_descriptions(hardware), argument_descriptions(not hardware)
     for name in (word.partition(":=")[0] for word in arguments if ":=" in word):
         if name not in known:
             files = ("hardware.launch.py", "closed_loop.launch.py")
@@ -138,7 +140,7 @@ def check_arguments(hardware: bool, arguments: Sequence[str], file: str) -> None
             raise GraphError(f"launch argument is {name!r}{hint}, allowed: {', '.join(known)}")
 
 
-def _names(file: str, before: str, word: str) -> bool:
+def _is_launch_file_name(file: str, before: str, word: str) -> bool:
     """Return whether a word of the command line names a launch file. The word can be the path of a
     launch file, or a file's name after the name of this package."""
     if Path(word).name != Path(file).name:
@@ -170,7 +172,7 @@ def start(hardware: bool, file: str, context: Any) -> list[Any]:
         would ignore a missing parameter file and start the nodes without its parameters.
     """
     check_arguments(hardware, sys.argv, file)
-    known = arguments_of(hardware)
+    known = argument_descriptions(hardware)
     given = {n: text for n, text in context.launch_configurations.items() if text and n in known}
     values = {name: read(given[name]) for name, read in OPTIONS.items() if name in given}
     own = []
@@ -184,7 +186,7 @@ def start(hardware: bool, file: str, context: Any) -> list[Any]:
     space = namespace_of(pushed, given.get("namespace", ""))
     names = [node.name for node in load_graph()]
     parameters = [*context.launch_configurations.get("global_params", []), *own]
-    rigs = [given["rig_file"]] if "rig_file" in given else rigs_in(parameters, space, names)
+    rigs = [given["rig_file"]] if "rig_file" in given else rig_files_in(parameters, space, names)
     if "scenario" in given and not rigs:
         rigs = [load_scenario(given["scenario"]).rig]
         values["rig_file"] = rigs[0]
@@ -196,7 +198,7 @@ def start(hardware: bool, file: str, context: Any) -> list[Any]:
     topics = {"image_raw": given.get("image_topic"), "camera_info": given.get("info_topic")}
     waiting = [{"autostart": False}] if given.get("autostart") == "false" else []
     defaults = default_files(hardware, space, [node.name for node in options.nodes(load_graph())])
-    actions: list[Any] = [OpaqueFunction(function=partial(_put_first, defaults))]
+    actions: list[Any] = [OpaqueFunction(function=partial(_prepend_parameter_files, defaults))]
     for rig in (rigs or [""]) if hardware else ():
         facts = unmeasured(load_rig(rig))
         actions += [LogInfo(msg=f"this rig is not fully measured. {text}") for text in facts]
@@ -207,10 +209,10 @@ def start(hardware: bool, file: str, context: Any) -> list[Any]:
             namespace=given.get("namespace", ""),
             remappings=[(topic, other) for topic, other in topics.items() if other],
             output="screen",
-            on_exit=None if name in views else partial(_end, name, last_line),
+            on_exit=None if name in views else partial(_shut_down, name, last_line),
             **program | {"parameters": [*own, program["parameters"], *waiting]},
         )
-        listen = OnProcessIO(target_action=process, on_stderr=partial(_remember, last_line))
+        listen = OnProcessIO(target_action=process, on_stderr=partial(_record_last_line, last_line))
         actions.append(RegisterEventHandler(listen))
         actions.append(process)
     if given.get("record") == "true":
@@ -219,7 +221,7 @@ def start(hardware: bool, file: str, context: Any) -> list[Any]:
     return [GroupAction(actions)]
 
 
-def rigs_in(parameters: Sequence[Any], space: str, names: Sequence[str]) -> list[str]:
+def rig_files_in(parameters: Sequence[Any], space: str, names: Sequence[str]) -> list[str]:
     """Return the different values of `rig_file` that ROS parameters set for the nodes.
 
     Parameters
@@ -239,7 +241,7 @@ def rigs_in(parameters: Sequence[Any], space: str, names: Sequence[str]) -> list
             continue
         try:
             data = _Loader(read_file(str(each), YAML_BYTES)).get_single_data()
-            sections = list(_sections(data))
+            sections = list(_find_sections(data))
         # PyYAML raises an OverflowError for an escape sequence beyond the range of Unicode.
         except (PlateError, yaml.YAMLError, OverflowError, RecursionError):
             continue
@@ -262,7 +264,7 @@ class _Loader(yaml.BaseLoader):
         return super().compose_node(parent, index)
 
 
-def _sections(data: Any, above: str = "") -> Iterator[tuple[str, dict[Any, Any]]]:
+def _find_sections(data: Any, above: str = "") -> Iterator[tuple[str, dict[Any, Any]]]:
     """Yield each section of a parameter file: a regular expression that the full names of its nodes
     match, and its parameters. In the names of sections, `*` stands for one level of a node's name,
     and `**` for any number of levels."""
@@ -272,7 +274,7 @@ def _sections(data: Any, above: str = "") -> Iterator[tuple[str, dict[Any, Any]]
         else:
             levels = [level for level in str(key).split("/") if level]
             own = [LEVELS.get(level, "/" + re.escape(level)) for level in levels]
-            yield from _sections(value, above + "".join(own))
+            yield from _find_sections(value, above + "".join(own))
 
 
 def default_files(hardware: bool, space: str, names: Sequence[str]) -> list[str]:
@@ -283,11 +285,11 @@ def default_files(hardware: bool, space: str, names: Sequence[str]) -> list[str]
         files.append(str(config_path("hardware.yaml")))
     if space:
         own = {f"/**/{name}": {"ros__parameters": {"frame_prefix": f"{space}/"}} for name in names}
-        files.append(_written(yaml.safe_dump(own)))
+        files.append(_write_temporary_file(yaml.safe_dump(own)))
     return files
 
 
-def _put_first(defaults: Sequence[str], context: Any) -> None:
+def _prepend_parameter_files(defaults: Sequence[str], context: Any) -> None:
     """Place the default parameter files before all other parameters.
 
     ROS merges all files by the names of their sections. If two sections match a node, ROS compares
@@ -300,7 +302,7 @@ def _put_first(defaults: Sequence[str], context: Any) -> None:
     context.launch_configurations["global_params"] = [*defaults, *outer]
 
 
-def _written(text: str) -> str:
+def _write_temporary_file(text: str) -> str:
     with NamedTemporaryFile("w", suffix=".yaml", delete=False, encoding="utf-8") as file:
         file.write(text)
     return file.name
@@ -322,18 +324,18 @@ def programs(
             }
             for node in nodes
         }
-    file = _written(options.parameter_file(nodes, given, space))
+    file = _write_temporary_file(options.parameter_file(nodes, given, space))
     program = {"package": "plate_bringup", "executable": "one_process"}
     names = [node.name for node in nodes]
     return {"one_process": program | {"arguments": names, "parameters": file}}
 
 
-def _remember(last_line: list[str], event: Any) -> None:
+def _record_last_line(last_line: list[str], event: Any) -> None:
     lines = event.text.decode(errors="replace").strip().splitlines()
     last_line[:] = lines[-1:] or last_line
 
 
-def _end(name: str, last_line: list[str], event: Any, context: Any) -> list[Any] | None:
+def _shut_down(name: str, last_line: list[str], event: Any, context: Any) -> list[Any] | None:
     """Shut down all nodes because a node has ended, and log the reason."""
     if context.is_shutdown:
         return None

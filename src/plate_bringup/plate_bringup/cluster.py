@@ -106,14 +106,14 @@ class Cluster(Executor):
         self._refusals: dict[str, str] = {}
         self._admitted: list[str] = []
         self._ending, self._waits = threading.Event(), False
-        served = "dashboard" in self._identity()["services"]
+        served = "dashboard" in self._scheduler_info()["services"]
         report(f"cluster {address}, " + (self._client.dashboard_link if served else "no dashboard"))
         try:
             self._await_workers()
         except BaseException:
             self.shutdown()
             raise
-        threading.Thread(target=self._watch, daemon=True).start()
+        threading.Thread(target=self._watch_workers, daemon=True).start()
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """Submit a run, as `concurrent.futures.Executor` describes. A run that has begun can also
@@ -124,9 +124,9 @@ class Cluster(Executor):
         # arguments, but it cannot import the modules of `bench`.
         from distributed.protocol.pickle import dumps
 
-        self._calls[result] = (_work, self._token, dumps((fn, args, kwargs)))
-        result.add_done_callback(self._forget)
-        self._send(result)
+        self._calls[result] = (_run_on_worker, self._token, dumps((fn, args, kwargs)))
+        result.add_done_callback(self._remove_run)
+        self._submit_run(result)
         return result
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = True) -> None:
@@ -143,29 +143,29 @@ class Cluster(Executor):
 
     def _stop_runs(self) -> None:
         if self._admitted and self._client.status == "running":
-            call = (_stop, self._token, self._end)
+            call = (_stop_run, self._token, self._end)
             self._client.run(*call, workers=self._admitted, on_error="ignore")
 
-    def _send(self, result: Future[Any]) -> None:
+    def _submit_run(self, result: Future[Any]) -> None:
         """Send a run to the scheduler."""
         if (call := self._calls.get(result)) is None:
             return
         try:
             sent = self._pool.submit(*call)
         except Exception as problem:
-            if not self._lose(result):
-                raise PlateError(f"cluster {self._address}: {_text(problem)}") from problem
+            if not self._record_lost_run(result):
+                raise PlateError(f"cluster {self._address}: {_error_text(problem)}") from problem
             return
         self._sent[result] = sent
-        sent.add_done_callback(partial(self._take, result))
+        sent.add_done_callback(partial(self._deliver_result, result))
         if result.done():  # the run was canceled in the meantime
-            self._release(result)
+            self._cancel_run(result)
 
-    def _take(self, result: Future[Any], sent: Future[Any]) -> None:
+    def _deliver_result(self, result: Future[Any], sent: Future[Any]) -> None:
         """Pass the result or the exception of a run to the caller. If the run was lost together
         with the scheduler, only record that it must be sent again."""
         if sent.cancelled():
-            self._lose(result)
+            self._record_lost_run(result)
             return
         problem = sent.exception()
         if type(problem).__name__ == "KilledWorker":
@@ -177,7 +177,7 @@ class Cluster(Executor):
             else:
                 result.set_exception(problem)
 
-    def _lose(self, result: Future[Any]) -> bool:
+    def _record_lost_run(self, result: Future[Any]) -> bool:
         """Record that a lost run must be sent again. Return whether this is possible."""
         if self._client.status == "closed":
             return False
@@ -185,20 +185,20 @@ class Cluster(Executor):
             self._lost.add(result)
         return True
 
-    def _forget(self, result: Future[Any]) -> None:
+    def _remove_run(self, result: Future[Any]) -> None:
         del self._calls[result]
         self._lost.discard(result)
-        self._release(result)
+        self._cancel_run(result)
         if result.cancelled():
             result.set_running_or_notify_cancel()
 
-    def _release(self, result: Future[Any]) -> None:
+    def _cancel_run(self, result: Future[Any]) -> None:
         """Cancel a run if it has not ended, and delete its result in the cluster. If the result
         were not deleted, the cluster would repeat the run after the death of its worker."""
         if (sent := self._sent.pop(result, None)) is not None:
             sent.cancel()
 
-    def _watch(self) -> None:
+    def _watch_workers(self) -> None:
         """Check each new worker, and send lost runs again."""
         while not self._ending.wait(POLL_S):
             if self._client.status == "closed":
@@ -209,10 +209,10 @@ class Cluster(Executor):
                 return
             with suppress(Exception):  # the connection is lost
                 if self._client.status == "running":
-                    self._check_new()
+                    self._check_new_workers()
                     for result in list(self._lost):
                         self._lost.discard(result)
-                        self._send(result)
+                        self._submit_run(result)
 
     def _await_workers(self) -> None:
         """Wait until the first worker is accepted, for at most `FIRST_S`.
@@ -223,7 +223,7 @@ class Cluster(Executor):
             If all workers are refused.
         """
         for _ in range(int(FIRST_S / POLL_S)):
-            count = self._check_new()
+            count = self._check_new_workers()
             if self._admitted:
                 return
             if not count:
@@ -232,16 +232,16 @@ class Cluster(Executor):
                 raise PlateError(f"cluster {self._address}: all {count} workers are refused")
             self._ending.wait(POLL_S)
 
-    def _check_new(self) -> int:
+    def _check_new_workers(self) -> int:
         """Start the check of each new worker. If all workers are refused or there is no worker,
         report this. Return the number of workers."""
-        workers = self._identity()["workers"]
+        workers = self._scheduler_info()["workers"]
         self._admitted = [name for name, one in workers.items() if self._key in one["resources"]]
         for name in set(self._refusals) - set(workers):
             self._refusals.pop(name, None)
         for name in set(workers) - set(self._refusals) - set(self._admitted):
             self._refusals[name] = ""
-            threading.Thread(target=self._check, args=(name,), daemon=True).start()
+            threading.Thread(target=self._check_worker, args=(name,), daemon=True).start()
         if self._waits != (waits := not self._admitted and all(self._refusals.values())):
             self._waits = waits
             if waits:
@@ -249,16 +249,16 @@ class Cluster(Executor):
                 self._report(f"waiting for workers{refused}")
         return len(workers)
 
-    def _identity(self) -> Any:
+    def _scheduler_info(self) -> Any:
         """Return information about the scheduler and its workers. `Client.scheduler_info` is not
         used, because it sometimes lists no workers: a periodic query of Dask replaces its
         result."""
         return self._client.sync(self._client.scheduler.identity, n_workers=-1)
 
-    def _check(self, name: str) -> None:
+    def _check_worker(self, name: str) -> None:
         """Compare a worker with this process, and then accept or refuse it."""
         try:
-            call = (_admit, self._key, *self._terms)
+            call = (_compare_and_admit, self._key, *self._terms)
             found = self._client.run(*call, workers=[name], on_error="return")[name]
         except Exception as problem:  # the worker or the scheduler is lost
             found = OSError(problem)
@@ -266,7 +266,7 @@ class Cluster(Executor):
             self._refusals.pop(name, None)
             return
         if isinstance(found, BaseException):
-            found = [_text(found)]
+            found = [_error_text(found)]
         if found:
             self._refusals[name] = "; ".join(found)
             self._report(f"worker {name} is refused: {self._refusals[name]}")
@@ -291,7 +291,7 @@ def _connect(address: str) -> Any:
     except Exception as problem:
         raise PlateError(
             f"cluster is {address!r}, where no Dask scheduler answers within {CONNECT_S:g} s "
-            f"({_text(problem)}), allowed: the address that `dask scheduler` prints"
+            f"({_error_text(problem)}), allowed: the address that `dask scheduler` prints"
         ) from problem
     if kind != "Scheduler":
         raise PlateError(
@@ -328,7 +328,7 @@ async def _query_server(address: str) -> tuple[str, str]:
     return about["type"], versions["packages"]["distributed"]
 
 
-def _text(problem: BaseException) -> str:
+def _error_text(problem: BaseException) -> str:
     return " ".join(f"{type(problem).__name__}: {problem}".split()).removesuffix(":")
 
 
@@ -344,8 +344,8 @@ class _Stopped(Exception):
     """Exception that ends a run on a worker when the cluster is shut down."""
 
 
-def _work(token: str, call: bytes) -> Any:
-    """Run a function on a worker, and register its thread so that `_stop` can end it."""
+def _run_on_worker(token: str, call: bytes) -> Any:
+    """Run a function on a worker, and register its thread so that `_stop_run` can end it."""
     _RUNNING[token] = threading.get_ident()
     try:
         function, args, kwargs = pickle.loads(call)
@@ -354,7 +354,7 @@ def _work(token: str, call: bytes) -> Any:
         _RUNNING.pop(token, None)
 
 
-def _stop(token: str, end: Callable[[], object] | None) -> None:
+def _stop_run(token: str, end: Callable[[], object] | None) -> None:
     """End the present run of a `Cluster` on this worker. `shutdown` calls this function."""
     if (thread := _RUNNING.get(token)) is None:
         return
@@ -365,7 +365,7 @@ def _stop(token: str, end: Callable[[], object] | None) -> None:
         ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), raised)
 
 
-async def _admit(
+async def _compare_and_admit(
     key: str,
     expected: dict[str, str],
     terms: tuple[bool, tuple[str, ...], str],

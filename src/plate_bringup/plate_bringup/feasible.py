@@ -79,7 +79,7 @@ def main() -> None:
         scenario = load_scenario(args.scenario) if args.scenario else None
         name = args.rig or (scenario.rig if scenario else "")
         rig = load_rig(name)
-        text, likely = report(rig, rig_path(name).name, scenario)
+        text, likely = feasibility_report(rig, rig_path(name).name, scenario)
     except PlateError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)
@@ -87,20 +87,20 @@ def main() -> None:
     sys.exit(0 if likely else 1)
 
 
-def report(rig: Rig, name: str, scenario: Scenario | None) -> tuple[str, bool]:
+def feasibility_report(rig: Rig, name: str, scenario: Scenario | None) -> tuple[str, bool]:
     """Return the lines of the report, and whether the task is likely to succeed. If no task is
     given, return whether parts can be moved."""
     lines = [
         f"{name}: shaking ratio Gamma = {rig.gamma:.1f}, limited by {rig.reach.limit}; parts slide "
         "if Gamma is above 1",
-        one_part(rig),
+        one_part_line(rig),
         "",
     ]
-    text, likely = of_task(rig, scenario) if scenario else of_counts(rig)
+    text, likely = task_lines(rig, scenario) if scenario else part_count_table(rig)
     return "\n".join(lines + text), likely
 
 
-def one_part(rig: Rig) -> str:
+def one_part_line(rig: Rig) -> str:
     """Return a line about the maximum speed of one part."""
     bounds = speed_bounds(rig, PERIOD_S)
     return (
@@ -111,7 +111,7 @@ def one_part(rig: Rig) -> str:
     )
 
 
-def of_task(rig: Rig, scenario: Scenario) -> tuple[list[str], bool]:
+def task_lines(rig: Rig, scenario: Scenario) -> tuple[list[str], bool]:
     """Return the lines about a scenario, and whether the task is likely to succeed."""
     for kind, what in NOT_REHEARSED.items():
         if isinstance(scenario.task, kind):
@@ -121,7 +121,7 @@ def of_task(rig: Rig, scenario: Scenario) -> tuple[list[str], bool]:
     except PlateError as error:
         return [f"{scenario.name}: impossible: {error}"], False
     likely, count = verdict.likely, len(verdict.rehearsals)
-    times = ", ".join(_time(each.time_s) for each in verdict.rehearsals)
+    times = ", ".join(_time_text(each.time_s) for each in verdict.rehearsals)
     requested = ""
     if isinstance(scenario.task, FollowTask):
         requested = f", requested: {1e3 * max(path.speed for path in scenario.task.paths):.0f} mm/s"
@@ -130,7 +130,7 @@ def of_task(rig: Rig, scenario: Scenario) -> tuple[list[str], bool]:
         f"rehearsals end within {scenario.time_limit_s:g} s (time_limit_s); they take [s]: {times}",
         f"{scenario.count} part{'s' * (scenario.count > 1)}: {1e3 * verdict.speed:.0f} mm/s on "
         f"average{requested}",
-        _used(verdict),
+        _used_limits_text(verdict),
     ]
     if any(each.lost for each in verdict.rehearsals):
         lines.append("a part leaves the plate: move starts and goals away from the edges")
@@ -140,14 +140,14 @@ def of_task(rig: Rig, scenario: Scenario) -> tuple[list[str], bool]:
     return lines, likely
 
 
-def of_counts(rig: Rig) -> tuple[list[str], bool]:
+def part_count_table(rig: Rig) -> tuple[list[str], bool]:
     """Return a table of the predicted speeds for several numbers of parts. Half of the parts move
     to the left, the others to the right. Also return whether the parts move."""
     lines = ["random places to two sides   mean speed [mm/s]   most used limit"]
     moved = False
     for count in COUNTS:
         try:
-            verdict = rehearse_task(rig, sides(count), 1)
+            verdict = rehearse_task(rig, make_sort_scenario(count), 1)
         except PlateError:
             lines.append(f"  {count:2d} part{'s' * (count > 1)}: do not fit on this plate")
             continue
@@ -165,7 +165,7 @@ def of_counts(rig: Rig) -> tuple[list[str], bool]:
     return lines, moved
 
 
-def sides(count: int) -> Scenario:
+def make_sort_scenario(count: int) -> Scenario:
     """Return a sort task with `count` parts, in which black parts move to the left and grey parts
     to the right."""
     groups = {"black": Side(-1, 0), "grey": Side(1, 0)}
@@ -179,11 +179,11 @@ def sides(count: int) -> Scenario:
     )
 
 
-def _time(seconds: float) -> str:
+def _time_text(seconds: float) -> str:
     return f"{seconds:.1f}" if np.isfinite(seconds) else "not done in time"
 
 
-def _used(verdict: Verdict) -> str:
+def _used_limits_text(verdict: Verdict) -> str:
     """Return a line about the used fractions of the rig's limits."""
     use = verdict.limit_use
     used = ", ".join(f"{name} {100 * value:.0f} %" for name, value in use._asdict().items())

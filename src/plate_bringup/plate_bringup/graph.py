@@ -93,7 +93,7 @@ def load_graph(path: str | Path | None = None) -> tuple[GraphNode, ...]:
         If the file is invalid, or if a name occurs twice.
     """
     fields = read_yaml(path or config_path("graph.yaml"), GraphError)
-    nodes = tuple(_node(child) for child in fields.children("nodes"))
+    nodes = tuple(_read_node(child) for child in fields.children("nodes"))
     fields.finish()
     names = [node.name for node in nodes]
     if len(set(names)) < len(names) or not names:
@@ -101,7 +101,7 @@ def load_graph(path: str | Path | None = None) -> tuple[GraphNode, ...]:
     return nodes
 
 
-def _node(fields: Fields) -> GraphNode:
+def _read_node(fields: Fields) -> GraphNode:
     node = GraphNode(
         fields.text("name"),
         fields.text("package"),

@@ -81,7 +81,7 @@ def facts(bench: bool = False, modules: tuple[str, ...] = (), agent: str = "") -
         found |= {f"file {name}": mark for name, mark in files_of(agent).items()}
         found |= libraries_of(agent)
     if bench:
-        found["code of bench"] = _code_of_bench()
+        found["code of bench"] = _bench_digest()
     return found
 
 
@@ -97,12 +97,12 @@ def machine() -> dict[str, str]:
     for name in LIBRARIES:
         found[name] = str(importlib.import_module(name).__version__)
     found |= {name: os.environ.get(name, "") for name in ALIKE}
-    found["processor"] = _processor(ALIKE.items() <= os.environ.items())
-    found["first cycles"] = _first_cycles()
+    found["processor"] = _processor_model(ALIKE.items() <= os.environ.items())
+    found["first cycles"] = _first_cycles_digest()
     return found
 
 
-def _processor(alike: bool) -> str:
+def _processor_model(alike: bool) -> str:
     """Return the model of the processor. If `alike` is True and the processor has the features
     `REQUIRED`, return these features instead. Results on a processor with these features do not
     depend on its model."""
@@ -126,16 +126,16 @@ def code_of(*modules: str) -> str:
     `plate_core` includes its configuration."""
     mark = hashlib.sha256()
     for name in modules:
-        spec = _spec(name)
+        spec = _find_spec(name)
         if spec is None or spec.origin is None:
             return f"no module {name}"
         origin = Path(spec.origin)
         if spec.submodule_search_locations is not None:
-            _digest(mark, origin.parent, name)
+            _add_folder(mark, origin.parent, name)
         else:
             mark.update(origin.read_bytes())
         if name == "plate_core":
-            _digest(mark, config_path("rig.yaml").parent, "config")
+            _add_folder(mark, config_path("rig.yaml").parent, "config")
     return mark.hexdigest()[:16]
 
 
@@ -171,7 +171,9 @@ def files_of(module: str) -> dict[str, str]:
 
 def libraries_of(module: str) -> dict[str, str]:
     """Return the versions of the installed libraries that the files of a module import."""
-    names = {name for path in _files(module).values() for name in _named_in(path)[0]}
+    names = {
+        name for path in _source_files(module).values() for name in _find_imports_and_paths(path)[0]
+    }
     among = packages_distributions() if names else {}
     own = {f"plate_{name}" for name in PACKAGES}
     return {
@@ -181,10 +183,10 @@ def libraries_of(module: str) -> dict[str, str]:
     }
 
 
-def _files(module: str) -> dict[str, Path]:
+def _source_files(module: str) -> dict[str, Path]:
     """Return the paths of the files whose digests `files_of` returns, by the same keys."""
-    spec = _spec(module)
-    if folders := _folders(spec):
+    spec = _find_spec(module)
+    if folders := _package_folders(spec):
         # If several folders contain a file with the same name, Python imports the file from the
         # first folder. Therefore the first folder is processed last here.
         return {
@@ -200,7 +202,7 @@ def _files(module: str) -> dict[str, Path]:
     while waiting:
         path = waiting.pop()
         found.add(path)
-        imported, texts = _named_in(path)
+        imported, texts = _find_imports_and_paths(path)
         # If the module is in a folder of installed libraries, its neighbouring files belong to
         # other libraries.
         near = set() if first.parent.name.endswith("-packages") else imported
@@ -216,13 +218,13 @@ def _files(module: str) -> dict[str, Path]:
         # For a name that is too long, `os.path.isfile` returns False instead of raising an error.
         waiting |= {path for path in named if os.path.isfile(path)}
         for name in near:
-            if first.parent / name in _folders(_spec(name)):
+            if first.parent / name in _package_folders(_find_spec(name)):
                 waiting |= _all_files(first.parent / name)
         waiting -= found
     return {path.relative_to(first.parent).as_posix(): path for path in found}
 
 
-def _folders(spec: ModuleSpec | None) -> list[Path]:
+def _package_folders(spec: ModuleSpec | None) -> list[Path]:
     """Return the folders of a package. A package without `__init__.py` can have several."""
     places = None if spec is None else spec.submodule_search_locations
     return [Path(place) for place in places or ()]
@@ -244,7 +246,7 @@ def _all_files(folder: Path) -> set[Path]:
         raise PlateError(f"{folder}: its folders are nested too deeply") from None
 
 
-def _named_in(path: Path) -> tuple[set[str], set[str]]:
+def _find_imports_and_paths(path: Path) -> tuple[set[str], set[str]]:
     """Return the top-level names of the modules that a Python file imports, and the texts in the
     file that can be paths of files in its folder. For files that are not Python files, both results
     are empty."""
@@ -269,14 +271,14 @@ def _named_in(path: Path) -> tuple[set[str], set[str]]:
     return imported, texts
 
 
-def _spec(module: str) -> ModuleSpec | None:
+def _find_spec(module: str) -> ModuleSpec | None:
     try:
         return find_spec(module)
     except ValueError:  # find_spec raises a ValueError for names such as __main__
         return None
 
 
-def _digest(mark: Any, place: Path, name: str) -> None:
+def _add_folder(mark: Any, place: Path, name: str) -> None:
     """Add the sources in the folder `place` to the digest `mark`."""
     for path in sorted(place.rglob("*")):
         if path.suffix in (".py", ".hpp", ".cpp", ".yaml"):
@@ -284,14 +286,14 @@ def _digest(mark: Any, place: Path, name: str) -> None:
             mark.update(path.read_bytes())
 
 
-def _code_of_bench() -> str:
+def _bench_digest() -> str:
     """Return a digest of `bench` and `tools` of the clone from which this package was installed."""
     folder = clone()
     if folder is None:
         return "no clone"
     mark = hashlib.sha256()
     for name in ("bench", "tools"):
-        _digest(mark, folder / name, name)
+        _add_folder(mark, folder / name, name)
     return mark.hexdigest()[:16]
 
 
@@ -301,7 +303,7 @@ def clone() -> Path | None:
     return next((folder for folder in parents if (folder / "bench/harness").is_dir()), None)
 
 
-def _first_cycles() -> str:
+def _first_cycles_digest() -> str:
     """Return a digest of the first cycles that each method computes for the scenario `TRIAL`."""
     mark = hashlib.blake2b(digest_size=8)
     for method in dict.fromkeys(METHODS.values()):

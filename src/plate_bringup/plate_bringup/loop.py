@@ -201,18 +201,18 @@ def with_settings(setup: Setup, settings: Mapping[str, str]) -> Setup:
     for key, text in settings.items():
         try:
             if key == "method":
-                setup = replace(setup, method=_method(text))
+                setup = replace(setup, method=_check_method(text))
             elif key in NUMBERS:
-                setup = replace(setup, **{key: _number(key, float(text), *NUMBERS[key])})  # type: ignore[arg-type]
+                setup = replace(setup, **{key: _parse_number(key, float(text), *NUMBERS[key])})  # type: ignore[arg-type]
             elif key in EFFORT:
                 setup = replace(setup, effort={**setup.effort, key: int(text)})
             elif key == "blur":
-                world = replace(world, blur=_flag(key, text))
+                world = replace(world, blur=_parse_flag(key, text))
             elif key in {f.name for f in fields(Disturbances)}:
                 world = replace(world, **{key: float(text)})  # type: ignore[arg-type]
             elif key in FollowOptions.RANGES:
                 limits = FollowOptions.RANGES[key]
-                follow = replace(follow, **{key: _number(key, float(text), *limits)})
+                follow = replace(follow, **{key: _parse_number(key, float(text), *limits)})
             else:
                 raise KeyError(key)
         except KeyError:
@@ -229,19 +229,19 @@ def with_settings(setup: Setup, settings: Mapping[str, str]) -> Setup:
     return replace(setup, disturbances=world, planner=planner)
 
 
-def _number(key: str, value: float, low: float, high: float) -> float:
+def _parse_number(key: str, value: float, low: float, high: float) -> float:
     if not low <= value <= high:
         raise PlateError(f"setting {key} is {value:g}, allowed: {low:g} to {high:g}")
     return value
 
 
-def _flag(key: str, text: str) -> bool:
+def _parse_flag(key: str, text: str) -> bool:
     if text not in ("true", "false"):
         raise PlateError(f"setting {key} is {text!r}, allowed: true or false")
     return text == "true"
 
 
-def _method(name: str) -> str:
+def _check_method(name: str) -> str:
     if name not in METHODS:
         hint = did_you_mean(name, METHODS)
         raise PlateError(f"setting method is {name!r}{hint}, allowed: {', '.join(METHODS)}")
@@ -365,7 +365,7 @@ class SimulatedScene:
         self._bare = BarePlate(requested=BARE_IMAGES)
         if self._vision.catalogue is not None:
             for _ in range(BARE_IMAGES):
-                self._know(self.simulation.capture_bare())
+                self._update_bare_plate(self.simulation.capture_bare())
 
     @property
     def state(self) -> WorldState:
@@ -383,7 +383,7 @@ class SimulatedScene:
     def see(self, image: np.ndarray, stamp: float, expected: Prediction | None) -> Parts:
         """See `Scene`."""
         if self._vision.catalogue is not None:
-            self._know(image)
+            self._update_bare_plate(image)
         self._tracker = observe(self._vision, self._tracker, image, stamp, expected)
         return self._tracker.parts
 
@@ -391,7 +391,7 @@ class SimulatedScene:
         """See `Scene`."""
         self.simulation.run(motion)
 
-    def _know(self, image: np.ndarray) -> None:
+    def _update_bare_plate(self, image: np.ndarray) -> None:
         self._bare, self._vision, _ = know_plate(self._bare, self._vision, image)
 
 
@@ -602,10 +602,12 @@ def _true_errors(
     if state.memory is None:
         return none, none
     if isinstance(task, PoseTask):
-        missing = Poser(task, rig).errors(state.memory, _named(parts, state.memory.match, world))
+        missing = Poser(task, rig).errors(
+            state.memory, _nearest_true_parts(parts, state.memory.match, world)
+        )
         return missing[0], np.abs(missing[1])
     if isinstance(task, MoveTask):
-        true_parts = _named(parts, tuple(target.id for target in task.targets), world)
+        true_parts = _nearest_true_parts(parts, tuple(target.id for target in task.targets), world)
         place = {target.id: target.place for target in task.targets}
         goal = np.array([place[name] for name in true_parts.ids]).reshape(-1, 2)
         return np.hypot(*(true_parts.position - goal).T), none
@@ -622,7 +624,7 @@ def _true_errors(
     return np.array(errors), none
 
 
-def _named(parts: Parts, names: tuple[str, ...], world: WorldState) -> Parts:
+def _nearest_true_parts(parts: Parts, names: tuple[str, ...], world: WorldState) -> Parts:
     """For each detected part whose id is in `names`, return the nearest true part. The returned
     parts have the ids of the detected parts."""
     ids = [name for name in names if name in parts.ids]

@@ -80,14 +80,14 @@ class Row:
         return (
             str(self.fill), f"{self.parts_per_min:.1f}",
             f"{min(run.parts_per_min for run in runs):.1f}", f"{100 * self.waiting:.1f} %",
-            _shown(first, "s", 1), str(sum(run.failed for run in runs)),
+            _value_text(first, "s", 1), str(sum(run.failed for run in runs)),
             str(sum(run.lost for run in runs)), str(sum(run.discharged for run in runs)),
-            _shown(error, "mm", 2), _shown(turned, "deg", 1),
+            _value_text(error, "mm", 2), _value_text(turned, "deg", 1),
             f"{100 * np.mean([run.cpu for run in runs]):.0f} %",
         )  # fmt: skip
 
 
-def _shown(value: float, unit: str, digits: int) -> str:
+def _value_text(value: float, unit: str, digits: int) -> str:
     return f"{value:.{digits}f} {unit}" if np.isfinite(value) else "-"
 
 
@@ -309,19 +309,19 @@ def arguments() -> argparse.Namespace:
         help=f"rig file, or one of {', '.join(rig_names())} (default: the rig of the recipe)",
     )  # fmt: skip
     parser.add_argument(
-        "--robot-cycle", type=_within("robot-cycle", *CYCLE_S), default=2.0, metavar="S",
+        "--robot-cycle", type=_number_parser("robot-cycle", *CYCLE_S), default=2.0, metavar="S",
         help="time between two picks of the robot [s] (default: 2)",
     )  # fmt: skip
     parser.add_argument(
-        "--minutes", type=_within("minutes", *MINUTES), default=2.0, metavar="MIN",
+        "--minutes", type=_number_parser("minutes", *MINUTES), default=2.0, metavar="MIN",
         help="simulated duration of each run [min] (default: 2)",
     )  # fmt: skip
     parser.add_argument(
-        "--seeds", type=_within("seeds", 1, MAX_SEEDS, int), default=3, metavar="N",
+        "--seeds", type=_number_parser("seeds", 1, MAX_SEEDS, int), default=3, metavar="N",
         help="number of runs for each fill (default: 3)",
     )  # fmt: skip
     parser.add_argument(
-        "--fill", type=_fills, default=[5, 10, 15, 20, 30], metavar="N,N,...",
+        "--fill", type=_parse_fills, default=[5, 10, 15, 20, 30], metavar="N,N,...",
         help="numbers of parts that the hopper keeps on the plate (default: 5,10,15,20,30)",
     )  # fmt: skip
     parser.add_argument(
@@ -330,10 +330,10 @@ def arguments() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def _within(
+def _number_parser(
     name: str, low: float, high: float, number: Callable[[str], float] = float
 ) -> Callable[[str], Any]:
-    def read(text: str) -> float:
+    def parse_number(text: str) -> float:
         try:
             value = number(text)
         except ValueError:
@@ -342,11 +342,11 @@ def _within(
             raise argparse.ArgumentTypeError(f"{name} is {text}, allowed: {low:g} to {high:g}")
         return value
 
-    return read
+    return parse_number
 
 
-def _fills(text: str) -> list[int]:
-    fill = _within("fill", 1, MAX_PARTS, int)
+def _parse_fills(text: str) -> list[int]:
+    fill = _number_parser("fill", 1, MAX_PARTS, int)
     return list(dict.fromkeys(fill(word.strip()) for word in text.split(",")))
 
 

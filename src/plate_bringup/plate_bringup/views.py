@@ -64,9 +64,9 @@ def view_from(
     middle = (float(size[0] - 1) / 2, float(size[1] - 1) / 2)
     k1, k2, p1, p2, k3 = distortion or (0.0,) * 5
     lens = Lens((focal_px, focal_px), middle, (k1, k2, p1, p2, k3))
-    rotation = _rotation(tilt_deg, towards_deg)
+    rotation = _camera_rotation(tilt_deg, towards_deg)
 
-    def corners(distance: float) -> np.ndarray | None:
+    def project_corners(distance: float) -> np.ndarray | None:
         ray = rig.plate.corners @ rotation[:, :2].T + [0.0, 0.0, distance]
         if np.any(ray[:, 2] <= 0):
             return None
@@ -75,11 +75,11 @@ def view_from(
     near, far = NEAREST_M, FARTHEST_M
     for _ in range(HALVINGS if distance_m == 0 else 0):
         half = (near + far) / 2
-        there = corners(half)
+        there = project_corners(half)
         low, high = MARGIN_PX, size - 1 - MARGIN_PX
         inside = there is not None and np.all((there >= low) & (there <= high))
         near, far = (near, half) if inside else (half, far)
-    seen = corners(distance_m or far)
+    seen = project_corners(distance_m or far)
     if seen is None:
         raise PlateError(
             f"camera: at a distance of {distance_m:g} m and a tilt of {tilt_deg:g} degrees, a "
@@ -97,7 +97,7 @@ def with_height(rig: Rig, height_m: float) -> Rig:
     return replace(rig, parts=replace(rig.parts, height_m=height_m), types=types)
 
 
-def _rotation(tilt_deg: float, towards_deg: float) -> np.ndarray:
+def _camera_rotation(tilt_deg: float, towards_deg: float) -> np.ndarray:
     """Return the axes of plate_home in the frame of the camera, as columns (3, 3)."""
     tilt, towards = np.radians([tilt_deg, towards_deg])
     beside = np.array([np.cos(towards), np.sin(towards), 0.0])

@@ -35,7 +35,7 @@ def test_it_includes_files_that_are_there_with_arguments_that_they_have(monkeypa
                  "launch_ros", "launch_ros.actions", "launch_ros.substitutions"):  # fmt: skip
         monkeypatch.setitem(sys.modules, name, StandIn(name))
     monkeypatch.delitem(sys.modules, "plate_bringup.actions", raising=False)
-    from plate_bringup.actions import CHOICES, arguments_of
+    from plate_bringup.actions import CHOICES, argument_descriptions
 
     scope = {}
     exec(compile(FILE, "cell.launch.py", "exec"), scope)
@@ -49,7 +49,7 @@ def test_it_includes_files_that_are_there_with_arguments_that_they_have(monkeypa
         ((_, folder, file),) = include.args[0].args
         assert (ROOT / "src/plate_bringup" / folder / file).exists()
         arguments = dict(include.launch_arguments)
-        assert arguments.keys() <= arguments_of(hardware=False).keys()
+        assert arguments.keys() <= argument_descriptions(hardware=False).keys()
         assert all(value in CHOICES.get(name, [value]) for name, value in arguments.items())
 
 
