@@ -45,16 +45,16 @@ def call_text(command: Command) -> str:
         case "start" if values["scenario"] is not None:
             return f"plate goal {values['scenario']}"
         case "set":
-            return f"plate set {values['node']} {values['name']} {_shown(values['value'])}"
+            return f"plate set {values['node']} {values['name']} {_quote(values['value'])}"
         case "parameters":
             return f"plate params {values['node']}"
         case "move":
-            return "ros2 topic pub --once /targets plate_interfaces/msg/Targets " + _flow(
+            return "ros2 topic pub --once /targets plate_interfaces/msg/Targets " + _yaml_flow(
                 {"targets": values["targets"]}
             )
         case "teach":
             return (
-                f"plate set detector teach_name {_shown(values['name'])} && "
+                f"plate set detector teach_name {_quote(values['name'])} && "
                 "ros2 service call /detector/teach std_srvs/srv/Trigger"
             )
         case "reset" if values["seed"] is not None:
@@ -65,7 +65,7 @@ def call_text(command: Command) -> str:
         case "place" | "remove" | "take_lens_pictures" | "measure_friction":
             service, kind = SERVICES[command.name]
             given = {key: value for key, value in values.items() if value is not None}
-            return f"ros2 service call {service} {kind} {_flow(given)}"
+            return f"ros2 service call {service} {kind} {_yaml_flow(given)}"
         case name if name in SERVICES:
             service, kind = SERVICES[name]
             return f"ros2 service call {service} {kind}"
@@ -75,13 +75,13 @@ def call_text(command: Command) -> str:
 
 def goal_text(action: str, kind: str, goal: Mapping[str, Any]) -> str:
     """Return the terminal command that sends a goal of an action."""
-    return f"ros2 action send_goal /{action} plate_interfaces/action/{kind} {_flow(goal)}"
+    return f"ros2 action send_goal /{action} plate_interfaces/action/{kind} {_yaml_flow(goal)}"
 
 
-def _shown(value: Any) -> str:
+def _quote(value: Any) -> str:
     return shlex.quote(str(value).lower() if isinstance(value, bool) else str(value))
 
 
-def _flow(value: Mapping[str, Any] | Sequence[Any]) -> str:
+def _yaml_flow(value: Mapping[str, Any] | Sequence[Any]) -> str:
     text = yaml.safe_dump(value, default_flow_style=True, width=10_000, sort_keys=False)
     return shlex.quote(text.strip())

@@ -66,7 +66,7 @@ def read_command(text: str | bytes, role: Role) -> Command:
         raise CommandError(f"message is a {type(data).__name__}, allowed: an object")
     number, name = number_of(data), data.pop("do", None)
     if not isinstance(name, str) or name not in COMMANDS:
-        raise CommandError(f"do is {_short(name)}, allowed: {', '.join(COMMANDS)}")
+        raise CommandError(f"do is {_shorten(name)}, allowed: {', '.join(COMMANDS)}")
     if role is not Role.OPERATOR and name not in FOR_ALL:
         raise CommandError(f"{name} is allowed only for operators, but this page is read only")
     data.pop("number", None)
@@ -74,7 +74,7 @@ def read_command(text: str | bytes, role: Role) -> Command:
     strange = sorted(data.keys() - readers.keys())
     if strange:
         allowed = ", ".join(readers) or "no further keys"
-        raise CommandError(f"key of {name} is {_short(strange[0])}, allowed: {allowed}")
+        raise CommandError(f"key of {name} is {_shorten(strange[0])}, allowed: {allowed}")
     values = {key: read(f"{name}: {key}", data.get(key)) for key, read in readers.items()}
     return Command(name, number, values)
 
@@ -87,87 +87,89 @@ def number_of(data: Any) -> int:
     return -1
 
 
-def _short(value: Any) -> str:
+def _shorten(value: Any) -> str:
     text = repr(value)
     return text if len(text) <= 40 else text[:40] + "..."
 
 
-def _wrong(where: str, value: Any, allowed: str) -> CommandError:
-    return CommandError(f"{where} is {_short(value)}, allowed: {allowed}")
+def _value_error(where: str, value: Any, allowed: str) -> CommandError:
+    return CommandError(f"{where} is {_shorten(value)}, allowed: {allowed}")
 
 
-def _flag(where: str, value: Any) -> bool:
+def _read_flag(where: str, value: Any) -> bool:
     if not isinstance(value, bool):
-        raise _wrong(where, value, "true or false")
+        raise _value_error(where, value, "true or false")
     return value
 
 
-def _number(where: str, value: Any) -> float:
+def _read_number(where: str, value: Any) -> float:
     numeric = isinstance(value, int | float) and not isinstance(value, bool)
     if not (numeric and abs(value) <= MAX_ABS):
-        raise _wrong(where, value, f"a number up to {MAX_ABS:g}")
+        raise _value_error(where, value, f"a number up to {MAX_ABS:g}")
     return float(value)
 
 
-def _whole(where: str, value: Any) -> int:
+def _read_integer(where: str, value: Any) -> int:
     if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < 2**31:
-        raise _wrong(where, value, f"a whole number from 0 to {2**31 - 1}")
+        raise _value_error(where, value, f"a whole number from 0 to {2**31 - 1}")
     return value
 
 
-def _text(where: str, value: Any) -> str:
+def _read_text(where: str, value: Any) -> str:
     if not isinstance(value, str) or not 0 < len(value) <= MAX_TEXT or not value.isprintable():
-        raise _wrong(where, value, f"a text of 1 to {MAX_TEXT} printable characters")
+        raise _value_error(where, value, f"a text of 1 to {MAX_TEXT} printable characters")
     return value
 
 
-def _maybe(read: Reader) -> Reader:
+def _optional(read: Reader) -> Reader:
     return lambda where, value: None if value is None else read(where, value)
 
 
-def _value(where: str, value: Any) -> bool | int | float | str:
+def _read_parameter_value(where: str, value: Any) -> bool | int | float | str:
     """Check the value of a parameter."""
     if isinstance(value, str):
-        return value if not value else _text(where, value)
+        return value if not value else _read_text(where, value)
     if isinstance(value, bool | int):
-        return value if isinstance(value, bool) or abs(value) < 2**63 else _number(where, value)
-    return _number(where, value)
+        return (
+            value if isinstance(value, bool) or abs(value) < 2**63 else _read_number(where, value)
+        )
+    return _read_number(where, value)
 
 
-def _list(where: str, value: Any, min_count: int, max_count: int) -> list[Any]:
+def _read_list(where: str, value: Any, min_count: int, max_count: int) -> list[Any]:
     if not isinstance(value, list) or not min_count <= len(value) <= max_count:
-        raise _wrong(where, value, f"a list of {min_count} to {max_count}")
+        raise _value_error(where, value, f"a list of {min_count} to {max_count}")
     return value
 
 
-def _targets(where: str, value: Any) -> list[dict[str, Any]]:
+def _read_targets(where: str, value: Any) -> list[dict[str, Any]]:
     targets = []
-    for each in _list(where, value, 1, MAX_PARTS):
+    for each in _read_list(where, value, 1, MAX_PARTS):
         if not isinstance(each, dict) or not each.keys() <= {"id", "x", "y", "angle"}:
-            raise _wrong(where, each, "id, x, y and angle")
+            raise _value_error(where, each, "id, x, y and angle")
         angle = each.get("angle")
         targets.append(
             {
-                "id": _text(where, each.get("id")),
-                "x": _number(where, each.get("x")),
-                "y": _number(where, each.get("y")),
-                "angle": math.nan if angle is None else _number(where, angle),
+                "id": _read_text(where, each.get("id")),
+                "x": _read_number(where, each.get("x")),
+                "y": _read_number(where, each.get("y")),
+                "angle": math.nan if angle is None else _read_number(where, angle),
             }
         )
     return targets
 
 
-def _points(where: str, value: Any) -> list[tuple[float, float]]:
+def _read_points(where: str, value: Any) -> list[tuple[float, float]]:
     points = []
-    for each in _list(where, value, 2, MAX_POINTS):
-        x, y = _list(where, each, 2, 2)
-        points.append((_number(where, x), _number(where, y)))
+    for each in _read_list(where, value, 2, MAX_POINTS):
+        x, y = _read_list(where, each, 2, 2)
+        points.append((_read_number(where, x), _read_number(where, y)))
     return points
 
 
-def _mapping(where: str, value: Any) -> dict[str, Any]:
+def _read_mapping(where: str, value: Any) -> dict[str, Any]:
     if not isinstance(value, dict):
-        raise _wrong(where, value, "an object")
+        raise _value_error(where, value, "an object")
     return value
 
 
@@ -176,28 +178,32 @@ COMMANDS: Mapping[str, Mapping[str, Reader]] = {
     "cut_power": {},
     "stop": {},
     "cancel": {},
-    "enable": {"on": _flag},
-    "start": {"scenario": _maybe(_text), "task": _maybe(_mapping)},
-    "move": {"targets": _targets, "dragging": _maybe(_flag)},
-    "follow": {"id": _text, "points": _points, "speed": _number, "closed": _flag},
-    "set": {"node": _text, "name": _text, "value": _value},
-    "parameters": {"node": _text},
-    "place": {"id": _maybe(_text), "type": _maybe(_text), "x": _number, "y": _number,
-              "angle": _number},
-    "remove": {"id": _text},
-    "reset": {"seed": _maybe(_whole)},
+    "enable": {"on": _read_flag},
+    "start": {"scenario": _optional(_read_text), "task": _optional(_read_mapping)},
+    "move": {"targets": _read_targets, "dragging": _optional(_read_flag)},
+    "follow": {"id": _read_text, "points": _read_points, "speed": _read_number,
+               "closed": _read_flag},
+    "set": {"node": _read_text, "name": _read_text, "value": _read_parameter_value},
+    "parameters": {"node": _read_text},
+    "place": {"id": _optional(_read_text), "type": _optional(_read_text),
+              "x": _read_number, "y": _read_number, "angle": _read_number},
+    "remove": {"id": _read_text},
+    "reset": {"seed": _optional(_read_integer)},
     "learn_plate": {},
-    "teach": {"name": _text},
+    "teach": {"name": _read_text},
     "find_home": {},
     "save_home": {},
-    "take_lens_pictures": {"on": _flag, "columns": _maybe(_whole), "rows": _maybe(_whole),
-                           "square_m": _maybe(_number), "marker_m": _maybe(_number)},
+    "take_lens_pictures": {
+        "on": _read_flag, "columns": _optional(_read_integer), "rows": _optional(_read_integer),
+        "square_m": _optional(_read_number), "marker_m": _optional(_read_number),
+    },
     "fit_lens": {},
     "save_lens": {},
-    "measure_friction": {"start": _flag},
+    "measure_friction": {"start": _read_flag},
     "write_friction": {},
-    "watch": {"image": _flag, "field": _flag, "camera": _maybe(_flag)},
-    "replay": {"playing": _maybe(_flag), "seek": _maybe(_number), "rate": _maybe(_number)},
+    "watch": {"image": _read_flag, "field": _read_flag, "camera": _optional(_read_flag)},
+    "replay": {"playing": _optional(_read_flag), "seek": _optional(_read_number),
+               "rate": _optional(_read_number)},
 }  # fmt: skip
 """Arguments of each command, with the functions that check them."""
 

@@ -81,7 +81,7 @@ class PageNode(SafeLifecycleNode[Options]):
         self._listener: Listener | None = None
         self._replay: Replay | None = None
         self._inbox, self._adapts = Inbox(), False
-        self.report(self._find, self._values)
+        self.report(self._diagnose, self._diagnostic_values)
 
     def configure(self) -> None:
         """Read the rig, and create clients and publishers."""
@@ -95,19 +95,21 @@ class PageNode(SafeLifecycleNode[Options]):
         self.keep(Operator.close, self._operator)
         self._stops = Stops(self)
         self.keep(Stops.close, self._stops)
-        work = self.create_guard_condition(self._work)
+        work = self.create_guard_condition(self._process_queue)
         self.keep(self.destroy_guard_condition, work)
         self._wake = work.trigger
-        self._frames = self.managed_timer(FRAME_S, self._tick)
-        self.managed_timer(SLOW_S, self._tick_slowly)
+        self._frames = self.managed_timer(FRAME_S, self._on_tick_timer)
+        self.managed_timer(SLOW_S, self._on_slow_tick_timer)
 
     def begin(self) -> None:
         """Start serving the page."""
         if self.options.bag:
             kinds = {name.removeprefix("/"): topic.kind for name, topic in TOPICS.items()}
-            self._replay = Replay(self.options.bag, kinds, self._receive)
+            self._replay = Replay(self.options.bag, kinds, self._forward_message)
         port = self.options.port
-        self._server = PageServer(self._access, port, self._hello(), self._take, self._changed)
+        self._server = PageServer(
+            self._access, port, self._make_hello(), self._queue_command, self._request_adaptation
+        )
         self._listener = Listener(self, self._rig, self._view, self._server)
         self._operator.begin(self._server, self._listener)
         if self._replay is not None:
@@ -127,7 +129,7 @@ class PageNode(SafeLifecycleNode[Options]):
         if replay is not None:
             replay.close()
 
-    def _hello(self) -> Scene:
+    def _make_hello(self) -> Scene:
         """Return the first message that every browser receives."""
         rig, options = self._rig, self.options
         types = sorted({*rig.types, *ALWAYS_THERE})
@@ -135,13 +137,13 @@ class PageNode(SafeLifecycleNode[Options]):
             "rig": rig_scene(rig, Path(options.rig_file).stem or "default rig"),
             "image": {"x": self._view.x, "y": self._view.y},
             "types": {name: type_scene(rig.part_type(name)) for name in types},
-            "scenarios": self._scenarios(),
+            "scenarios": self._list_scenarios(),
             "scenario": Path(options.scenario).stem,
             "simulator": False,
             "replay": bool(options.bag),
         }
 
-    def _scenarios(self) -> Scene:
+    def _list_scenarios(self) -> Scene:
         """Return the scenarios that this rig can execute, and the contents of their files."""
         found = {}
         own = (
@@ -156,13 +158,13 @@ class PageNode(SafeLifecycleNode[Options]):
                 found[scenario.name] = fields.data
         return found
 
-    def _tick(self) -> None:
+    def _on_tick_timer(self) -> None:
         if self._replay is not None:
             self._replay.step()
         if self._listener is not None:
             self._listener.tick()
 
-    def _tick_slowly(self) -> None:
+    def _on_slow_tick_timer(self) -> None:
         # check repeatedly, because a simulator may start or end at any time
         if self._server is not None:
             there = self.count_services(self.resolve_service_name("simulator/reset"))
@@ -174,22 +176,22 @@ class PageNode(SafeLifecycleNode[Options]):
     # The functions below are called on the server's thread. These functions pass commands to the
     # thread of the ROS node.
 
-    def _take(self, browser: Socket, command: Command) -> None:
+    def _queue_command(self, browser: Socket, command: Command) -> None:
         if command.name in URGENT and self._replay is None:
             self._stops.do(PendingCommand(browser.page, browser, command))
             return
         self._inbox.put(browser, command)
         self._wake()
 
-    def _changed(self) -> None:
+    def _request_adaptation(self) -> None:
         self._adapts = True
         self._wake()
 
-    def _work(self) -> None:
+    def _process_queue(self) -> None:
         """Execute the next command from the queue. Then return to the ROS executor, so that other
         callbacks can run."""
         if self._inbox:
-            self._do_next()
+            self._execute_next_command()
         if self._inbox:
             self._wake()
         if not self._adapts or self._server is None:
@@ -202,7 +204,7 @@ class PageNode(SafeLifecycleNode[Options]):
             else:
                 self._frames.cancel()
 
-    def _do_next(self) -> None:
+    def _execute_next_command(self) -> None:
         browser, command, old = self._inbox.take()
         if self._server is None:
             return
@@ -211,17 +213,17 @@ class PageNode(SafeLifecycleNode[Options]):
                 browser, command.number, False, "the command waited too long; send it again"
             )
         elif self._replay is not None or command.name == "replay":
-            self._do_replay(browser, command)
+            self._control_replay(browser, command)
         else:
             self._operator.do(browser, command)
 
     # A recorded run
 
-    def _receive(self, topic: str, msg: object) -> None:
+    def _forward_message(self, topic: str, msg: object) -> None:
         if self._listener is not None:
             self._listener.receive("/rosout" if topic == "rosout" else topic, msg)
 
-    def _do_replay(self, browser: Socket, command: Command) -> None:
+    def _control_replay(self, browser: Socket, command: Command) -> None:
         """Play a replay, jump to another time, or change the rate. All other commands need a
         running ROS graph."""
         server, replay, values = self._server, self._replay, command.values
@@ -252,13 +254,13 @@ class PageNode(SafeLifecycleNode[Options]):
 
     # Diagnostics
 
-    def _find(self, now: float) -> Finding:
+    def _diagnose(self, now: float) -> Finding:
         server = self._server
         if server is None:
             return Finding(Level.WARN, "not served")
         return Finding(Level.OK, f"{server.url}, {len(server.browsers)} browsers")
 
-    def _values(self) -> Mapping[str, object]:
+    def _diagnostic_values(self) -> Mapping[str, object]:
         server = self._server
         return {} if server is None else {"url": server.url, "browsers": len(server.browsers)}
 

@@ -96,8 +96,8 @@ def parts_scene(
                 "sd": spread if np.all(np.isfinite(spread)) else None, "seen": bool(there),
             }
             for name, (x, y), angle, spread, there in zip(
-                parts.ids, _rounded(parts.position), _rounded(parts.angle), _rounded(deviation, 7),
-                seen, strict=True,
+                parts.ids, _round_values(parts.position), _round_values(parts.angle),
+                _round_values(deviation, 7), seen, strict=True,
             )
         ],
     }  # fmt: skip
@@ -109,7 +109,7 @@ def request_scene(rig: Rig, stamp: float, request: CycleRequest) -> Scene:
     unasked: list[list[Any]] = [[None, None, None]] * count
     intervals = unasked
     if to is not None:
-        low, high, weight = (_rounded(each) for each in (to.low, to.high, to.weight))
+        low, high, weight = (_round_values(each) for each in (to.low, to.high, to.weight))
         angles = to.angles
         intervals = [
             [
@@ -120,7 +120,7 @@ def request_scene(rig: Rig, stamp: float, request: CycleRequest) -> Scene:
             ]
             for i in range(count)
         ]
-    force = _rounded(np.clip(request.forces.force / rig.force_unit, -9, 9), 3)
+    force = _round_values(np.clip(request.forces.force / rig.force_unit, -9, 9), 3)
     rows = zip(request.parts.ids, intervals, force, strict=True)
     return {
         "kind": "wanted",
@@ -145,8 +145,8 @@ def cycle_scene(rig: Rig, stamp: float, cycle: PlateCycle, field: bool) -> Scene
         "kind": "cycle",
         "stamp": stamp,
         "period": cycle.period,
-        "pose": _rounded(pose, 6),
-        "centres": _rounded(np.hstack([centre[near], sense])),
+        "pose": _round_values(pose, 6),
+        "centres": _round_values(np.hstack([centre[near], sense])),
         "field": field_scene(rig, cycle) if field else None,
     }
 
@@ -156,9 +156,9 @@ def field_scene(rig: Rig, cycle: PlateCycle) -> Scene:
     x, y = grid(rig)
     point = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     return {
-        "x": _rounded(x), "y": _rounded(y),
-        "drift": _rounded(drift(cycle, point, rig.friction.accel)),
-        "force": _rounded(mean_force(cycle, point), 3),
+        "x": _round_values(x), "y": _round_values(y),
+        "drift": _round_values(drift(cycle, point, rig.friction.accel)),
+        "force": _round_values(mean_force(cycle, point), 3),
     }  # fmt: skip
 
 
@@ -171,8 +171,8 @@ def motors_scene(rig: Rig, cycle: PlateCycle) -> Scene:
     return {
         "kind": "motors",
         "names": [motor.name for motor in rig.motors],
-        "lo": _rounded(position.min(axis=0), 6), "hi": _rounded(position.max(axis=0), 6),
-        "position": _rounded(position[0], 6),
+        "lo": _round_values(position.min(axis=0), 6), "hi": _round_values(position.max(axis=0), 6),
+        "position": _round_values(position[0], 6),
         "used": {
             "stroke": round(used.stroke_m / limits.stroke_m, 4),
             "speed": round(used.speed / limits.speed, 4),
@@ -189,18 +189,21 @@ def task_scene(rig: Rig, task: Task | None) -> Scene:
     match task:
         case FollowTask():
             scene["paths"] = [
-                {"type": path.label, "points": _rounded(path.waypoint), "closed": path.closed}
+                {"type": path.label, "points": _round_values(path.waypoint), "closed": path.closed}
                 for path in task.paths
             ]
         case SortTask():
             scene["regions"] = [
-                {"type": label, "polygon": _rounded(region_outline(task, label, rig.plate.half))}
+                {
+                    "type": label,
+                    "polygon": _round_values(region_outline(task, label, rig.plate.half)),
+                }
                 for label in task.regions
             ]
         case FeedTask():
             windows = [(pick.label, *pick_window(pick, rig)) for pick in task.picks]
             scene["regions"] = [
-                {"type": label, "polygon": _rounded([a, (b[0], a[1]), b, (a[0], b[1])])}
+                {"type": label, "polygon": _round_values([a, (b[0], a[1]), b, (a[0], b[1])])}
                 for label, a, b in windows
             ]
         case AssembleTask():
@@ -229,5 +232,5 @@ def nodes_scene(reports: Mapping[str, tuple[float, str, str, Mapping[str, str]]]
     }  # fmt: skip
 
 
-def _rounded(values: Any, digits: int = 5) -> Any:
+def _round_values(values: Any, digits: int = 5) -> Any:
     return np.round(np.asarray(values, dtype=float), digits).tolist()

@@ -132,7 +132,7 @@ class Socket(tornado.websocket.WebSocketHandler):
         assert self.role is not None
         self.set_nodelay(True)
         self.page.browsers.add(self)
-        self._task = asyncio.ensure_future(self._deliver())
+        self._task = asyncio.ensure_future(self._send_pending_messages())
         self.put("hello", json.dumps({**self.page.hello, "role": self.role.value}))
         for kind, message in self.page.latest.items():
             self.put(kind, message)
@@ -148,10 +148,10 @@ class Socket(tornado.websocket.WebSocketHandler):
     async def on_message(self, text: str | bytes) -> None:
         """Process a command. Then process the commands of other browsers. If a browser exceeds its
         allowance of commands, the server reads its messages slowly."""
-        within = self._take(text)
+        within = self._process_command(text)
         await asyncio.sleep(0 if within else 1 / COMMANDS_PER_S)
 
-    def _take(self, text: str | bytes) -> bool:
+    def _process_command(self, text: str | bytes) -> bool:
         """Process a command. Return whether the browser has stayed within its allowance of
         commands."""
         now = asyncio.get_event_loop().time()
@@ -163,11 +163,11 @@ class Socket(tornado.websocket.WebSocketHandler):
                 raise CommandError(f"message has {len(text)} bytes, allowed: at most {MAX_MESSAGE}")
             command = read_command(text, self.role)
         except CommandError as error:
-            within = self._spend()
+            within = self._charge_allowance()
             if within:
-                self.answer(_number(text), False, str(error))
+                self.answer(_read_command_number(text), False, str(error))
             return within
-        within = self._spend(COST.get(command.name, DEFAULT_COST))
+        within = self._charge_allowance(COST.get(command.name, DEFAULT_COST))
         if why := "" if command.name in URGENT else self._refusal(within):
             self.answer(command.number, False, why)
         elif command.name == "watch":
@@ -191,7 +191,7 @@ class Socket(tornado.websocket.WebSocketHandler):
             return f"too many commands wait for replies, allowed: {allowed}"
         return ""
 
-    def _spend(self, price: float = 1.0) -> bool:
+    def _charge_allowance(self, price: float = 1.0) -> bool:
         if self._allowance < price:
             return False
         self._allowance -= price
@@ -212,7 +212,7 @@ class Socket(tornado.websocket.WebSocketHandler):
             self._newest[kind] = message
         self._some.set()
 
-    async def _deliver(self) -> None:
+    async def _send_pending_messages(self) -> None:
         try:
             while True:
                 await self._some.wait()
@@ -235,7 +235,7 @@ class Socket(tornado.websocket.WebSocketHandler):
                 connection.stream.close()
 
 
-def _number(text: str | bytes) -> int:
+def _read_command_number(text: str | bytes) -> int:
     try:
         return number_of(json.loads(text))
     except (ValueError, RecursionError):
@@ -315,10 +315,10 @@ class PageServer:
         self.browsers: set[Socket] = set()
         self.open_commands = 0
         self.latest: dict[str, str | bytes] = {}
-        self._sockets, self.port = _bound(access.address, port)
+        self._sockets, self.port = _bind_sockets(access.address, port)
         self._loop = asyncio.new_event_loop()
         self._standstill = Standstill(STILL_S, self._loop.time())
-        self._thread = threading.Thread(target=self._run, name="page", daemon=True)
+        self._thread = threading.Thread(target=self._run_event_loop, name="page", daemon=True)
         self._thread.start()
 
     @property
@@ -338,18 +338,18 @@ class PageServer:
         this method only on the server's thread."""
         return self._standstill.is_late(self._loop.time())
 
-    def _keep_time(self) -> None:
+    def _record_time(self) -> None:
         self.is_late()
 
     def publish(self, kind: str, message: Mapping[str, Any] | bytes, keep: bool = True) -> None:
         """Send a message to all browsers. If `keep`, also send the message to browsers that connect
         later. Any thread may call this method."""
         text = message if isinstance(message, bytes) else json.dumps(message, allow_nan=False)
-        self._loop.call_soon_threadsafe(self._publish, kind, text, keep)
+        self._loop.call_soon_threadsafe(self._send_to_browsers, kind, text, keep)
 
     def answer(self, browser: Socket, number: int, ok: bool, text: str) -> None:
         """Reply to an accepted command. Any thread may call this method."""
-        self._loop.call_soon_threadsafe(self._answer, browser, number, ok, text)
+        self._loop.call_soon_threadsafe(self._send_answer, browser, number, ok, text)
 
     def close(self) -> None:
         """Stop serving."""
@@ -358,21 +358,21 @@ class PageServer:
         for each in self._sockets:
             each.close()
 
-    def _answer(self, browser: Socket, number: int, ok: bool, text: str) -> None:
+    def _send_answer(self, browser: Socket, number: int, ok: bool, text: str) -> None:
         browser.open_commands -= 1
         self.open_commands -= 1
         browser.answer(number, ok, text)
 
-    def _publish(self, kind: str, text: str | bytes, keep: bool) -> None:
+    def _send_to_browsers(self, kind: str, text: str | bytes, keep: bool) -> None:
         if keep:
             self.latest[kind] = text
         for browser in self.browsers:
             if browser.watches.get(kind, True):
                 browser.put(kind, text)
 
-    def _run(self) -> None:
+    def _run_event_loop(self) -> None:
         asyncio.set_event_loop(self._loop)
-        self._loop.run_until_complete(self._serve())
+        self._loop.run_until_complete(self._start_server())
         self._loop.run_forever()
         for browser in tuple(self.browsers):
             browser.close()
@@ -382,7 +382,7 @@ class PageServer:
         self._loop.run_until_complete(asyncio.gather(*tasks, return_exceptions=True))
         self._loop.close()
 
-    async def _serve(self) -> None:
+    async def _start_server(self) -> None:
         application = tornado.web.Application(
             [
                 (r"/socket", Socket, {"page": self}),
@@ -400,10 +400,10 @@ class PageServer:
             body_timeout=HUNG_S,
         )  # fmt: skip
         server.add_sockets(self._sockets)
-        tornado.ioloop.PeriodicCallback(self._keep_time, 100).start()
+        tornado.ioloop.PeriodicCallback(self._record_time, 100).start()
 
 
-def _bound(address: str, port: int) -> tuple[list[Any], int]:
+def _bind_sockets(address: str, port: int) -> tuple[list[Any], int]:
     """Return listening sockets on the first free port, and the number of this port."""
     for each in range(port, port + NEW_PORTS):
         try:

@@ -168,8 +168,10 @@ def test_the_page_shows_what_was_recorded(bag):
             assert node._listener.task.text == "begun"
             assert node._listener._newest["parts"].parts[0].x == pytest.approx(0.040)
             node.trigger_deactivate()
-            node._take(None, Command("replay", 1, {}))  # received before, by the server's thread
-            node._work()
+            node._queue_command(
+                None, Command("replay", 1, {})
+            )  # received before, by the server's thread
+            node._process_queue()
             assert not node._inbox
         finally:
             node.destroy_node()

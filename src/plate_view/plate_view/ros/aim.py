@@ -10,7 +10,7 @@ from plate_core.ros import seconds
 from plate_interfaces.msg import Aim, AimCheck, LensPictures
 
 from ..scene import Scene
-from .values import plain, state_names
+from .values import finite_or_none, state_names
 
 LEVELS = state_names(AimCheck, "OK", "WAIT", "WARN", "ERROR")
 STATES = state_names(LensPictures, "IDLE", "TAKING", "FITTING", "FITTED")
@@ -22,15 +22,15 @@ def aim_scene(msg: Aim) -> Scene:
     lens = msg.lens
     return {
         "kind": "aim", "stamp": seconds(msg.header.stamp), "width": msg.width, "height": msg.height,
-        "sharpness": plain(msg.sharpness), "best": plain(msg.sharpness_best),
-        "change": plain(msg.sharpness_change), "black": msg.black, "white": msg.white,
+        "sharpness": finite_or_none(msg.sharpness), "best": finite_or_none(msg.sharpness_best),
+        "change": finite_or_none(msg.sharpness_change), "black": msg.black, "white": msg.white,
         "histogram": [int(count) for count in msg.histogram],
         "part_px": [round(msg.part_px_min, 2), round(msg.part_px_max, 2)],
-        "expected": _points(msg.expected), "seen": _points(msg.seen),
+        "expected": _point_lists(msg.expected), "seen": _point_lists(msg.seen),
         "things": [
             {
-                "id": one.id, "x": plain(one.x_px), "y": plain(one.y_px),
-                "radius": plain(one.radius_px), "reason": one.reason, "remedy": one.remedy,
+                "id": one.id, "x": finite_or_none(one.x_px), "y": finite_or_none(one.y_px),
+                "radius": finite_or_none(one.radius_px), "reason": one.reason, "remedy": one.remedy,
             }
             for one in msg.things
         ],
@@ -42,11 +42,11 @@ def aim_scene(msg: Aim) -> Scene:
         "lens": {
             "state": STATES.get(lens.state, "idle"), "kept": lens.kept, "needed": lens.needed,
             "columns": lens.cover_columns, "rows": lens.cover_rows, "cover": list(lens.cover),
-            "missing": list(lens.missing), "corners": _points(lens.corners), "text": lens.text,
-            "error_px": plain(lens.error_px), "file": lens.file,
+            "missing": list(lens.missing), "corners": _point_lists(lens.corners), "text": lens.text,
+            "error_px": finite_or_none(lens.error_px), "file": lens.file,
         },
     }  # fmt: skip
 
 
-def _points(points: Sequence[Point]) -> list[list[float]]:
+def _point_lists(points: Sequence[Point]) -> list[list[float]]:
     return [[round(point.x, 2), round(point.y, 2)] for point in points]

@@ -48,7 +48,7 @@ class Caller:
         self._node, self._clients = node, dict[str, Any]()
         self.pollers: set[Callable[[], None]] = set()
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._timer = node.create_timer(POLL_S, self._poll, clock=steady)
+        self._timer = node.create_timer(POLL_S, self._poll_calls, clock=steady)
 
     def close(self) -> None:
         """Destroy all clients."""
@@ -62,7 +62,7 @@ class Caller:
             self._timer.reset()
         self.pollers.add(poller)
 
-    def _poll(self) -> None:
+    def _poll_calls(self) -> None:
         for poller in list(self.pollers):
             poller()
         if not self.pollers:  # stop the timer if no calls are pending
@@ -88,10 +88,10 @@ class Caller:
         sent: list[Any] = []
         last = 0.0
 
-        def answered(future: Any) -> None:
+        def on_answer(future: Any) -> None:
             if future not in sent:  # ignore this reply, because an earlier reply has ended the call
                 return
-            self.pollers.discard(tick)
+            self.pollers.discard(check_timeout)
             for each in sent:
                 client.remove_pending_request(each)
             sent.clear()
@@ -101,19 +101,19 @@ class Caller:
                 except PlateError as error:
                     pending.refuse(str(error))
 
-        def tick() -> None:
+        def check_timeout() -> None:
             nonlocal last
             now = time.monotonic()
             due = not sent or now - last > again_s
             if now < end and due and client.service_is_ready():
                 last = now
                 sent.append(client.call_async(request))
-                sent[-1].add_done_callback(answered)
+                sent[-1].add_done_callback(on_answer)
             elif now > end:
-                self.pollers.discard(tick)
+                self.pollers.discard(check_timeout)
                 for future in sent:
                     client.remove_pending_request(future)
                 pending.refuse(f"{name} {'does not reply' if sent else 'is not available'}")
 
-        self.poll(tick)
-        tick()
+        self.poll(check_timeout)
+        check_timeout()

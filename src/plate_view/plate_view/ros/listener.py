@@ -45,7 +45,7 @@ from ..scene import (
 from ..server import PageServer
 from ..top_view import TopView
 from .aim import aim_scene
-from .values import plain, state_names
+from .values import finite_or_none, state_names
 
 SAME_CLOCK_S = 10.0
 """Maximum difference between a stamp and the clock of this node [s]. If a difference exceeds this
@@ -114,14 +114,14 @@ class Listener:
                     topic.kind, name, partial(self.receive, name), topic.qos
                 )
             elif not needed:
-                self._ignore(name)
+                self._unsubscribe(name)
 
     def close(self) -> None:
         """Destroy all subscriptions."""
         for topic in TOPICS:
-            self._ignore(topic)
+            self._unsubscribe(topic)
 
-    def _ignore(self, topic: str) -> None:
+    def _unsubscribe(self, topic: str) -> None:
         if topic in self._listening:
             self._node.destroy_subscription(self._listening.pop(topic))
             self._newest.pop(topic, None)
@@ -149,7 +149,7 @@ class Listener:
                 "kind": "task", "task": msg.task, "state": TASK_STATES.get(msg.state, "idle"),
                 "reason": int(msg.reason), "text": msg.text,
                 "progress": {
-                    name: plain(getattr(progress, name))
+                    name: finite_or_none(getattr(progress, name))
                     for name in progress.get_fields_and_field_types()
                 },
             }
@@ -168,9 +168,13 @@ class Listener:
         self._publish(
             {
                 "kind": "friction", "state": FRICTION_STATES.get(msg.state, "failed"),
-                "text": msg.text, "fraction": plain(msg.fraction), "mu": plain(msg.mu),
+                "text": msg.text, "fraction": finite_or_none(msg.fraction),
+                "mu": finite_or_none(msg.mu),
                 "parts": [
-                    {"id": one.id, "mu": plain(one.mu), "error": plain(one.mu_error)}
+                    {
+                        "id": one.id, "mu": finite_or_none(one.mu),
+                        "error": finite_or_none(one.mu_error),
+                    }
                     for one in msg.parts
                 ],
             }
@@ -222,7 +226,12 @@ class Listener:
 
     def _show_targets(self, msg: Targets) -> None:
         targets = [
-            {"id": each.id, "x": plain(each.x), "y": plain(each.y), "angle": plain(each.angle)}
+            {
+                "id": each.id,
+                "x": finite_or_none(each.x),
+                "y": finite_or_none(each.y),
+                "angle": finite_or_none(each.angle),
+            }
             for each in msg.targets
         ]
         self._publish({"kind": "targets", "targets": targets})
@@ -269,8 +278,8 @@ class Listener:
             {
                 "kind": "timing",
                 "latency_ms": {
-                    "median": plain(float(np.median(latency_ms))),
-                    "p99": plain(float(np.percentile(latency_ms, 99))),
+                    "median": finite_or_none(float(np.median(latency_ms))),
+                    "p99": finite_or_none(float(np.percentile(latency_ms, 99))),
                 },
                 "cycle_rate": round(rate, 1),
                 "browsers": len(self._server.browsers),

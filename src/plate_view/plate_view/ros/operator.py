@@ -136,7 +136,7 @@ class Operator:
 
     # Services and parameters
 
-    def _trigger(self, pending: PendingCommand) -> None:
+    def _call_trigger_service(self, pending: PendingCommand) -> None:
         service = SERVICES[pending.command.name][0].removeprefix("/")
         self._call(pending, Trigger, service, Trigger.Request(), pending.done)
 
@@ -149,23 +149,25 @@ class Operator:
         at 1."""
         seed, request = pending.values["seed"], Trigger.Request()
 
-        def forget(answer: Any) -> None:
+        def reset_detector(answer: Any) -> None:
             if not answer.success:
                 pending.done(answer)
                 return
             self._call(pending, Trigger, "detector/reset", request, lambda _: pending.done(answer))
 
         def reset() -> None:
-            self._call(pending, Trigger, "simulator/reset", request, forget)
+            self._call(pending, Trigger, "simulator/reset", request, reset_detector)
 
         if seed is None:
             reset()
         else:
-            self._set_value(pending, "simulator", "seed", seed, reset)
+            self._request_parameter_change(pending, "simulator", "seed", seed, reset)
 
     def _teach(self, pending: PendingCommand) -> None:
         name = pending.values["name"]
-        self._set_value(pending, "detector", "teach_name", name, lambda: self._trigger(pending))
+        self._request_parameter_change(
+            pending, "detector", "teach_name", name, lambda: self._call_trigger_service(pending)
+        )
 
     def _place(self, pending: PendingCommand) -> None:
         given = {key: "" if value is None else value for key, value in pending.values.items()}
@@ -192,14 +194,14 @@ class Operator:
         request = MeasureFriction.Request(start=pending.values["start"])
         self._call(pending, MeasureFriction, "measure_friction", request, pending.done)
 
-    def _set(self, pending: PendingCommand) -> None:
+    def _set_parameter(self, pending: PendingCommand) -> None:
         values = pending.values
         node, name, value = values["node"], values["name"], values["value"]
-        self._set_value(
+        self._request_parameter_change(
             pending, node, name, value, lambda: pending.accept(f"{node} {name}: {value}")
         )
 
-    def _set_value(
+    def _request_parameter_change(
         self, pending: PendingCommand, node: str, name: str, value: Any, then: Callable[[], None]
     ) -> None:
         """Set a parameter. Then call `then`."""
@@ -209,10 +211,10 @@ class Operator:
             if result.successful:
                 then()
             else:
-                request, refused = ListParameters.Request(), partial(why, result.reason)
+                request, refused = ListParameters.Request(), partial(refuse_change, result.reason)
                 self._call(pending, ListParameters, f"{node}/list_parameters", request, refused)
 
-        def why(reason: str, answer: Any) -> None:
+        def refuse_change(reason: str, answer: Any) -> None:
             known = sorted(answer.result.names)
             if name in known:
                 pending.refuse(f"{node} refuses: {reason}")
@@ -225,10 +227,10 @@ class Operator:
         message = Parameter(name, value=value).to_parameter_msg()
         request = SetParameters.Request(parameters=[message])
         self._call(
-            pending, SetParameters, f"{self._existing(node)}/set_parameters", request, on_reply
+            pending, SetParameters, f"{self._find_node(node)}/set_parameters", request, on_reply
         )
 
-    def _existing(self, name: str) -> str:
+    def _find_node(self, name: str) -> str:
         """Return the name of an existing node. The page creates no service clients for other
         names."""
         here = self._node.get_namespace()
@@ -238,14 +240,14 @@ class Operator:
             raise PlateError(f"node is {name!r}, allowed: {', '.join(there)}")
         return name
 
-    def _parameters(self, pending: PendingCommand) -> None:
+    def _send_parameters(self, pending: PendingCommand) -> None:
         """Send the parameters of a node to a browser. Further requests wait until the present
         request is complete."""
         node = pending.values["node"]
         if node in self._requests:
             self._requests[node].append(pending)
         else:
-            self._request_parameters(pending, self._existing(node))
+            self._request_parameters(pending, self._find_node(node))
 
     def _request_parameters(
         self, pending: PendingCommand, node: str, others: Sequence[PendingCommand] = ()
@@ -253,42 +255,42 @@ class Operator:
         """Request the names of parameters, then their values, then their descriptions."""
         self._requests[node] = []
 
-        def end(ok: bool, text: str) -> None:
+        def finish(ok: bool, text: str) -> None:
             for each in others:
                 each.answer(ok, text)
             waiting = self._requests.pop(node, [])
             if waiting:
                 self._request_parameters(waiting[0], node, waiting[1:])
 
-        pending.answered = end
+        pending.answered = finish
         names: list[str] = []
         values: list[Any] = []
 
-        def listed(answer: Any) -> None:
+        def on_names(answer: Any) -> None:
             names.extend(sorted(answer.result.names))
             request = GetParameters.Request(names=names)
-            self._call(pending, GetParameters, f"{node}/get_parameters", request, got)
+            self._call(pending, GetParameters, f"{node}/get_parameters", request, on_values)
 
-        def got(answer: Any) -> None:
+        def on_values(answer: Any) -> None:
             values.extend(answer.values)
             request = DescribeParameters.Request(names=names)
             self._call(
-                pending, DescribeParameters, f"{node}/describe_parameters", request, described
+                pending, DescribeParameters, f"{node}/describe_parameters", request, on_descriptions
             )
 
-        def described(answer: Any) -> None:
+        def on_descriptions(answer: Any) -> None:
             rows = zip(names, values, answer.descriptors, strict=True)
-            shown = [_parameter(*row) for row in rows if row[0] not in SECRET]
+            shown = [_parameter_for_page(*row) for row in rows if row[0] not in SECRET]
             scene = {"kind": "parameters", "node": node, "parameters": shown}
             self._server.publish(f"parameters {node}", scene)
             pending.accept("")
 
         request = ListParameters.Request()
-        self._call(pending, ListParameters, f"{node}/list_parameters", request, listed)
+        self._call(pending, ListParameters, f"{node}/list_parameters", request, on_names)
 
     # Tasks
 
-    def _start(self, pending: PendingCommand) -> None:
+    def _start_task(self, pending: PendingCommand) -> None:
         scenario, task = pending.values["scenario"], pending.values["task"]
         if (scenario is None) == (task is None):
             raise PlateError("start requires exactly one of scenario and task")
@@ -302,10 +304,10 @@ class Operator:
             raise PlateError(f"scenario is {scenario!r}, allowed: {', '.join(scenario_names())}")
         name, goal = scenario_to_goal(chosen)
         if scenario not in scenario_names():
-            pending.call = goal_text(name, ACTIONS[name].__name__, _given(goal))
+            pending.call = goal_text(name, ACTIONS[name].__name__, _changed_fields(goal))
         self._send_after_move(pending, name, goal)
 
-    def _send(self, pending: PendingCommand, name: str, goal: Any) -> None:
+    def _send_goal(self, pending: PendingCommand, name: str, goal: Any) -> None:
         """Send a goal. Reply when the goal is executed. If the goal is not executed, reply with the
         reason."""
         client, end = self._actions[name], time.monotonic() + DISCOVERY_TIMEOUT_S
@@ -319,7 +321,7 @@ class Operator:
                 replied.append(ok)
                 pending.answer(ok, text)
 
-        def never_began(text: str) -> None:
+        def refuse_goal(text: str) -> None:
             own.ended = True
             # The new goal did not replace the previous task. Therefore show the previous task
             # again, unless it has ended.
@@ -333,7 +335,7 @@ class Operator:
         def on_answer(future: Any) -> None:
             handle = future.result()
             if not handle.accepted:
-                never_began("the planner refused the goal")
+                refuse_goal("the planner refused the goal")
             elif own.ended:  # the goal was accepted after the time limit, so cancel it
                 handle.cancel_goal_async()
             else:
@@ -343,7 +345,7 @@ class Operator:
         def on_result(future: Any) -> None:
             status = future.result().result.status
             if status.reason in REFUSED:
-                never_began(status.text)
+                refuse_goal(status.text)
                 return
             reply(status.state == TaskStatus.DONE, status.text)
             own.ended = True
@@ -351,9 +353,9 @@ class Operator:
                 self._goal = self._waiting = None
             waiting, self._next = self._next, None
             if waiting is not None:
-                self._send(*waiting)
+                self._send_goal(*waiting)
 
-        def tick() -> None:
+        def check_timeout() -> None:
             nonlocal before, end
             if not sent and client.server_is_ready():
                 # Set `_goal` before the goal is sent, because task_status reports the task before
@@ -363,14 +365,14 @@ class Operator:
                 sent[0].add_done_callback(on_answer)
                 end = time.monotonic() + ANSWER_S
             elif replied or time.monotonic() > end:
-                self._caller.pollers.discard(tick)
+                self._caller.pollers.discard(check_timeout)
                 if replied:
                     return
                 why = "does not reply" if sent else "is not available"
-                never_began(f"the action {name} {why}; check that the planner is configured")
+                refuse_goal(f"the action {name} {why}; check that the planner is configured")
 
-        self._caller.poll(tick)
-        tick()
+        self._caller.poll(check_timeout)
+        check_timeout()
 
     def _cancel(self, pending: PendingCommand) -> None:
         """Cancel all running goals. A request with a zero id and a zero stamp cancels every goal
@@ -384,7 +386,7 @@ class Operator:
                 pending.accept("canceled" if found[0] else "no task was running")
 
         self._waiting = None
-        self._forget_next("canceled")
+        self._drop_next_goal("canceled")
         for name in ACTIONS:
             request, service = CancelGoal.Request(), f"{name}/_action/cancel_goal"
             self._call(pending, CancelGoal, service, request, on_reply)
@@ -395,7 +397,7 @@ class Operator:
         task = self._listener.task
         running = task.state == TaskStatus.RUNNING
         if running and task.task == "move":
-            self._send_targets(targets)
+            self._publish_targets(targets)
             pending.accept("")
         elif running:
             raise PlateError(f"a task runs ({task.task}); cancel it first")
@@ -403,26 +405,26 @@ class Operator:
             self._waiting |= targets
             pending.accept("")
         else:
-            self._begin_move(pending, targets)
+            self._start_move_task(pending, targets)
 
-    def _begin_move(self, pending: PendingCommand, targets: dict[str, dict[str, Any]]) -> None:
+    def _start_move_task(self, pending: PendingCommand, targets: dict[str, dict[str, Any]]) -> None:
         goal = MoveParts.Goal(
-            parts=self._counts(), until_canceled=True, tolerance_m=MOVE_TOLERANCE_M,
+            parts=self._count_parts(), until_canceled=True, tolerance_m=MOVE_TOLERANCE_M,
             tolerance_rad=MOVE_TOLERANCE_RAD,
             marked=any(math.isfinite(target["angle"]) for target in targets.values()),
         )  # fmt: skip
-        begun = goal_text("move_parts", "MoveParts", _given(goal))
+        begun = goal_text("move_parts", "MoveParts", _changed_fields(goal))
         pending.call = f"{begun}; {call_text(pending.command)}"
-        pending.answered = lambda ok, text: None if ok else self._forget_waiting()
+        pending.answered = lambda ok, text: None if ok else self._drop_waiting_targets()
         self._waiting = dict(targets)
-        self._send(pending, "move_parts", goal)
+        self._send_goal(pending, "move_parts", goal)
 
-    def _forget_next(self, why: str) -> None:
+    def _drop_next_goal(self, why: str) -> None:
         before, self._next = self._next, None
         if before is not None:
             before[0].refuse(why)
 
-    def _forget_waiting(self) -> None:
+    def _drop_waiting_targets(self) -> None:
         self._waiting = None
 
     def _on_task(self) -> None:
@@ -439,15 +441,15 @@ class Operator:
             self._server.publish("paths", task_scene(self._rig, known if same_kind else None))
         if self._waiting is not None and running == "move":
             targets, self._waiting = self._waiting, None
-            self._send_targets(targets)
+            self._publish_targets(targets)
 
-    def _send_targets(self, targets: Mapping[str, Mapping[str, Any]]) -> None:
+    def _publish_targets(self, targets: Mapping[str, Mapping[str, Any]]) -> None:
         stamp = self._node.get_clock().now().to_msg()
         msg = Targets(header=Header(stamp=stamp, frame_id="plate_home"))
         msg.targets = [Target(**target) for target in targets.values()]
         self._publish(msg)
 
-    def _follow(self, pending: PendingCommand) -> None:
+    def _start_follow_task(self, pending: PendingCommand) -> None:
         """Start a task in which a part follows a drawn path."""
         part, closed, speed = (pending.values[key] for key in ("id", "closed", "speed"))
         if not any(each.id == part for each in self._listener.parts.parts):
@@ -458,7 +460,7 @@ class Operator:
             parts=[PartCount(type=path.type, count=1)], paths=[path], max_error_m=FOLLOW_ERROR_M,
             time_limit_s=FOLLOW_LIMIT_S,
         )  # fmt: skip
-        pending.call = goal_text("follow_paths", "FollowPaths", _given(goal))
+        pending.call = goal_text("follow_paths", "FollowPaths", _changed_fields(goal))
         self._send_after_move(pending, "follow_paths", goal)
 
     def _send_after_move(self, pending: PendingCommand, name: str, goal: Any) -> None:
@@ -473,13 +475,13 @@ class Operator:
         check_scenario(goal_to_scenario(goal), self._rig)
         own = self._goal
         if own is not None and own.handle is not None and self._listener.task.task == "move":
-            self._forget_next("another task was requested")
+            self._drop_next_goal("another task was requested")
             self._next = pending, name, goal
             own.handle.cancel_goal_async()
         else:
-            self._send(pending, name, goal)
+            self._send_goal(pending, name, goal)
 
-    def _counts(self) -> list[PartCount]:
+    def _count_parts(self) -> list[PartCount]:
         """Return the number of parts of each type in the newest image."""
         types = [part_class(part.id) for part in self._listener.parts.parts]
         if not types:
@@ -494,42 +496,42 @@ KINDS = {
 """Tasks whose target places are shown, and their names in the topic task_status."""
 
 DONE: Mapping[str, Callable[[Operator, PendingCommand], None]] = {
-    "learn_plate": Operator._trigger,
+    "learn_plate": Operator._call_trigger_service,
     "cancel": Operator._cancel,
     "enable": Operator._enable,
-    "start": Operator._start,
+    "start": Operator._start_task,
     "move": Operator._move,
-    "follow": Operator._follow,
-    "set": Operator._set,
-    "parameters": Operator._parameters,
+    "follow": Operator._start_follow_task,
+    "set": Operator._set_parameter,
+    "parameters": Operator._send_parameters,
     "place": Operator._place,
     "remove": Operator._remove,
     "reset": Operator._reset,
     "teach": Operator._teach,
-    "find_home": Operator._trigger,
-    "save_home": Operator._trigger,
+    "find_home": Operator._call_trigger_service,
+    "save_home": Operator._call_trigger_service,
     "take_lens_pictures": Operator._take_lens_pictures,
-    "fit_lens": Operator._trigger,
-    "save_lens": Operator._trigger,
+    "fit_lens": Operator._call_trigger_service,
+    "save_lens": Operator._call_trigger_service,
     "measure_friction": Operator._measure_friction,
-    "write_friction": Operator._trigger,
+    "write_friction": Operator._call_trigger_service,
 }
 """Function for each command. `Stops` executes the commands that stop the plate."""
 
 
-def _given(msg: Any) -> Any:
+def _changed_fields(msg: Any) -> Any:
     """Return the fields of a message that differ from their defaults, as mappings, lists and
     values."""
     if hasattr(msg, "get_fields_and_field_types"):
         values = {name: getattr(msg, name) for name in msg.get_fields_and_field_types()}
         new = type(msg)()
-        return {name: _given(v) for name, v in values.items() if v != getattr(new, name)}
+        return {name: _changed_fields(v) for name, v in values.items() if v != getattr(new, name)}
     if isinstance(msg, str | bool | int | float):
         return msg
-    return [_given(each) for each in msg]
+    return [_changed_fields(each) for each in msg]
 
 
-def _parameter(name: str, value: Any, about: Any) -> dict[str, Any]:
+def _parameter_for_page(name: str, value: Any, about: Any) -> dict[str, Any]:
     """Return the name, the value and the description of a parameter for the page."""
     ranges = [*about.floating_point_range, *about.integer_range]
     text, plain = about.additional_constraints, parameter_value_to_python(value)

@@ -79,7 +79,7 @@ class Replay:
             raise PlateError(
                 f"bag is {str(folder)!r} ({error}), allowed: the folder of a recorded run"
             ) from None
-        self._chosen = [each for each in self._reader.connections if self._name(each) in kinds]
+        self._chosen = [each for each in self._reader.connections if self._topic_key(each) in kinds]
         if not any(each.msgcount for each in self._chosen):
             self.close()
             raise PlateError(
@@ -88,14 +88,14 @@ class Replay:
         self.begin, self.end = 1e-9 * self._reader.start_time, 1e-9 * self._reader.end_time
         self.now, self.playing, self.rate, self.problem = self.begin, False, 1.0, ""
         self._played_at = time.monotonic()
-        latched = [each for each in self._chosen if self._name(each) in LATCHED_TOPICS]
+        latched = [each for each in self._chosen if self._topic_key(each) in LATCHED_TOPICS]
         self._latched: list[Any] = []
         with contextlib.suppress(PlateError):  # a damaged bag is read up to the damaged place
-            self._latched.extend(self._messages(latched) if latched else ())
+            self._latched.extend(self._read_messages(latched) if latched else ())
         self.seek(self.begin)
 
     @staticmethod
-    def _name(connection: Any) -> str:
+    def _topic_key(connection: Any) -> str:
         return str(connection.topic).rsplit("/", 1)[-1]
 
     def close(self) -> None:
@@ -136,12 +136,12 @@ class Replay:
         newest: dict[str, tuple[Any, bytes]] = {}
         for connection, at, data in self._latched:
             if at <= stop:
-                newest[self._name(connection)] = connection, data
-        for connection, _, data in self._between(t - BEFORE_S, t):
-            newest[self._name(connection)] = connection, data
+                newest[self._topic_key(connection)] = connection, data
+        for connection, _, data in self._messages_between(t - BEFORE_S, t):
+            newest[self._topic_key(connection)] = connection, data
         for name, (_, data) in newest.items():
-            self._pass_on(name, data)
-        self._coming = self._between(t, self.end + 1.0)
+            self._forward_message(name, data)
+        self._coming = self._messages_between(t, self.end + 1.0)
         self._next = next(self._coming, None)
         self._played_at = time.monotonic()
 
@@ -152,44 +152,44 @@ class Replay:
         elapsed, self._played_at = now - self._played_at, now
         try:
             if self.playing:
-                self._play(elapsed)
+                self._play_due_messages(elapsed)
         except PlateError as error:
             self.playing, self.problem = False, str(error)
 
-    def _play(self, elapsed: float) -> None:
+    def _play_due_messages(self, elapsed: float) -> None:
         self.now = min(self.now + self.rate * elapsed, self.end)
         due: dict[str, bytes] = {}
         while self._next is not None and self._next[1] <= round(1e9 * self.now):
             connection, _, data = self._next
-            name = self._name(connection)
+            name = self._topic_key(connection)
             if name in KEPT and name in due:
-                self._pass_on(name, due[name])
+                self._forward_message(name, due[name])
             due[name] = data
             self._next = next(self._coming, None)
         for name, data in due.items():
-            self._pass_on(name, data)
+            self._forward_message(name, data)
         if self.now >= self.end:
             self.playing = False
 
-    def _between(self, start: float, stop: float) -> Iterator[Any]:
+    def _messages_between(self, start: float, stop: float) -> Iterator[Any]:
         begin = max(round(1e9 * start), self._reader.start_time)
-        return self._messages(self._chosen, begin, round(1e9 * stop) + 1)
+        return self._read_messages(self._chosen, begin, round(1e9 * stop) + 1)
 
-    def _messages(self, chosen: list[Any], *interval: int) -> Iterator[Any]:
+    def _read_messages(self, chosen: list[Any], *interval: int) -> Iterator[Any]:
         try:
             yield from self._reader.messages(chosen, *interval)
         except Exception as error:  # the library can raise any type of exception for a damaged file
-            raise _damaged(error) from None
+            raise _damaged_bag_error(error) from None
 
-    def _pass_on(self, name: str, data: bytes) -> None:
+    def _forward_message(self, name: str, data: bytes) -> None:
         try:
             msg = deserialize_message(bytes(data), self._kinds[name])
         except Exception as error:  # rmw raises an error that has no public name
-            raise _damaged(error) from None
+            raise _damaged_bag_error(error) from None
         self._receive(name, msg)
 
 
-def _damaged(error: Exception) -> PlateError:
+def _damaged_bag_error(error: Exception) -> PlateError:
     return PlateError(f"bag is damaged ({error}), allowed: an intact bag")
 
 

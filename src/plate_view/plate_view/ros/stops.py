@@ -37,7 +37,7 @@ class Stops:
         self._caller = Caller(self._node)
         for name in URGENT:  # discover the services before they are needed
             self._caller.client(Trigger, name)
-        self._guard = self._node.create_guard_condition(self._call)
+        self._guard = self._node.create_guard_condition(self._call_services)
         self._executor = SingleThreadedExecutor(context=node.context)
         self._executor.add_node(self._node)
         self._ended = False
@@ -62,7 +62,7 @@ class Stops:
             while not self._ended:
                 self._executor.spin_once()
 
-    def _call(self) -> None:
+    def _call_services(self) -> None:
         """Call a service only once for all waiting commands with the same name, so that many
         commands do not delay each other."""
         waiting: dict[str, list[PendingCommand]] = {}
@@ -71,9 +71,9 @@ class Stops:
             waiting.setdefault(pending.command.name, []).append(pending)
         for name, (first, *others) in waiting.items():
 
-            def answered(ok: bool, text: str, others: list[PendingCommand] = others) -> None:
+            def on_answer(ok: bool, text: str, others: list[PendingCommand] = others) -> None:
                 for each in others:
                     each.answer(ok, text)
 
-            first.answered = answered
+            first.answered = on_answer
             self._caller.call(first, Trigger, name, Trigger.Request(), first.done)

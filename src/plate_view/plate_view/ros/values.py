@@ -10,7 +10,7 @@ def state_names(kind: type, *names: str) -> dict[int, str]:
     return {getattr(kind, name): name.lower() for name in names}
 
 
-def plain(value: float) -> float | None:
+def finite_or_none(value: float) -> float | None:
     """Return a number, rounded to six decimals. Return None if the number is not finite."""
     if isinstance(value, int):
         return value
