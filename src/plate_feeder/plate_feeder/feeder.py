@@ -218,14 +218,14 @@ class Feeder:
             return
         self._task, self._since = _Task.RUNNING, now
         self._in_force |= status.mode is self._sent.mode
-        self._rested = self._rested + 1 if self._rests() else 0
+        self._rested = self._rested + 1 if self._is_resting() else 0
         self._planner_rested |= status.mode is FeedMode.FEED and status.at_rest
 
     def task_ended(self, text: str) -> None:
         """Record that the planner's task has ended or was refused. The caller may also call this
         method if the task must end. A waiting command then gets a reply with the text `text`."""
-        self._answer_waiting(Code.STOPPED, text)
-        self._end()
+        self._reply_to_waiting(Code.STOPPED, text)
+        self._end_task()
         self._ended = True
 
     def stop(self, why: str) -> None:
@@ -271,7 +271,7 @@ class Feeder:
         Reply or None
             Refusal, or None if the request was accepted and waits for its reply.
         """
-        request = self._read(label, pick, timeout_s)
+        request = self._read_request(label, pick, timeout_s)
         if isinstance(request, Reply):
             return request
         if refusal := self._refusal(client):
@@ -279,10 +279,10 @@ class Feeder:
         if request == _Request() and self._prepared is not None:
             request = self._prepared
         self._prepared = None
-        self._give_up()
+        self._end_reservation()
         timeout_s = timeout_s or self.task.timeout_s
         self._waiting = _Waiting(client, request, now + timeout_s, timeout_s)
-        self._begin(now)
+        self._begin_task(now)
         return None
 
     def prepare_part(
@@ -291,14 +291,14 @@ class Feeder:
         """Request that a part is made ready for the next `get_part` without a class. Any client may
         send this `get_part`. The request stays valid if the client that made it disconnects. The
         parameters are the same as in `get_part`."""
-        request = self._read(label, pick)
+        request = self._read_request(label, pick)
         if isinstance(request, Reply):
             return request
         if refusal := self._refusal(client):
             return refusal
-        self._give_up()
+        self._end_reservation()
         self._prepared = request
-        self._begin(now)
+        self._begin_task(now)
         return Reply(Code.DONE, f"{request.label or 'a part'} is being prepared")
 
     def part_taken(self, client: Hashable, part: str = "", taken: bool = True) -> Reply:
@@ -326,7 +326,7 @@ class Feeder:
             return Reply(Code.NOT_RESERVED, text)
         if part not in ("", known.part.id):
             return Reply(Code.NOT_RESERVED, f"{part} is not reserved, allowed: {known.part.id}")
-        self._hold(known.part)
+        self._hold_back(known.part)
         late = ""
         if self._reserved is None:
             late = ", but its reservation had expired, so the plate may have moved"
@@ -359,10 +359,10 @@ class Feeder:
         if refusal := self._refusal(client):
             return replace(refusal, left=left)
         self._prepared = None
-        self._give_up()
+        self._end_reservation()
         timeout_s = timeout_s or self.task.timeout_s
         self._waiting = _Waiting(client, _Request(), now + timeout_s, timeout_s, purge=True)
-        self._begin(now)
+        self._begin_task(now)
         return None
 
     def cancel(self, client: Hashable) -> None:
@@ -373,7 +373,7 @@ class Feeder:
         if waiting is not None and waiting.client == client:
             self._waiting = None
             if waiting.purge:
-                self._end()
+                self._end_task()
 
     def remove_client(self, client: Hashable) -> None:
         """Remove a client that has disconnected, and withdraw the client's waiting command. A part
@@ -389,14 +389,14 @@ class Feeder:
     def step(self, now: float) -> Output:
         """Return the actions that the caller must take at the time `now` [s]."""
         if self._reserved is not None and now >= self._reserved.until:
-            self._give_up()
+            self._end_reservation()
         if self._waiting is not None:
-            self._answer(self._waiting, now)
+            self._answer_get_part(self._waiting, now)
         # without a status from the planner, end the request, so that the task does not start later
         if self._task is _Task.REQUESTED and self.no_status_text(now):
-            self._end()
-        open_s = self._open(now)
-        self._decide()
+            self._end_task()
+        open_s = self._opening_time(now)
+        self._update_order()
         replies, self._replies = tuple(self._replies), []
         return Output(self._task is not _Task.IDLE, self._sent, open_s, replies)
 
@@ -407,7 +407,7 @@ class Feeder:
         running = self._task is _Task.RUNNING
         return Quantity(
             seen=status.seen,
-            ready=len(self._offers(_Request())) if running else 0,
+            ready=len(self._offered_parts(_Request())) if running else 0,
             taken=self._taken,
             discharged=self._discharged + running * status.discharged,
             lost=self._lost + running * status.lost,
@@ -459,7 +459,9 @@ class Feeder:
 
     # Commands
 
-    def _read(self, label: str, pick: Pick | None, timeout_s: float = 0.0) -> _Request | Reply:
+    def _read_request(
+        self, label: str, pick: Pick | None, timeout_s: float = 0.0
+    ) -> _Request | Reply:
         """Convert the arguments of a command to a request. If an argument is invalid, return a
         reply with the error instead."""
         labels = [each.label for each in self.task.picks]
@@ -490,7 +492,7 @@ class Feeder:
             return Reply(Code.BUSY, "another client has reserved a part")
         return None
 
-    def _begin(self, now: float) -> None:
+    def _begin_task(self, now: float) -> None:
         self._vain_openings = min(self._vain_openings, MAX_OPENINGS - 1)
         if self._task is _Task.IDLE:
             # discard the old total, because the parts may have changed since the last opening
@@ -499,27 +501,27 @@ class Feeder:
             self._task, self._since, self._ended = _Task.REQUESTED, now, False
             self._sent, self._in_force = FeedOrder(FeedMode.FEED, self._picks()), False
 
-    def _end(self) -> None:
+    def _end_task(self) -> None:
         if self._task is _Task.RUNNING and self._status is not None:
             self._discharged += self._status.discharged
             self._lost += self._status.lost
         self._task, self._prepared = _Task.IDLE, None
 
-    def _give_up(self) -> None:
+    def _end_reservation(self) -> None:
         """End the reservation without a report about the pick. Later images show whether the part
         is still on the plate."""
         if self._reserved is not None:
-            self._hold(self._reserved.part)
+            self._hold_back(self._reserved.part)
             self._late, self._reserved = self._reserved, None
             self._unreported += 1
 
-    def _hold(self, part: ReadyPart) -> None:
+    def _hold_back(self, part: ReadyPart) -> None:
         assert self._status is not None  # a part is known only from a status, so there is a status
         self._held[part.id] = self._status.stamp
 
     # Replies to waiting commands
 
-    def _answer_waiting(
+    def _reply_to_waiting(
         self, code: Code, text: str, part: ReadyPart | None = None, until: float = math.nan
     ) -> None:
         waiting, self._waiting = self._waiting, None
@@ -528,30 +530,30 @@ class Feeder:
             reply = Reply(code, text, part, until, left if waiting.purge else 0)
             self._replies.append((waiting.client, reply))
 
-    def _answer(self, waiting: _Waiting, now: float) -> None:
+    def _answer_get_part(self, waiting: _Waiting, now: float) -> None:
         text = self.no_status_text(now)
         if text:
-            self._answer_waiting(Code.SILENT, text)
+            self._reply_to_waiting(Code.SILENT, text)
         elif waiting.purge:
             self._answer_purge(waiting, now)
-        elif self._rests() and (offers := self._offers(waiting.request)):
-            part, until = self._best(offers), now + self.task.valid_s
-            self._answer_waiting(Code.DONE, f"{part.id} is ready", part, until)
+        elif self._is_resting() and (offers := self._offered_parts(waiting.request)):
+            part, until = self._select_part(offers), now + self.task.valid_s
+            self._reply_to_waiting(Code.DONE, f"{part.id} is ready", part, until)
             self._reserved, self._late = Reserved(waiting.client, part, until), None
             self._planner_rested = False
-        elif self.hopper_empty and not self._on_plate(waiting.request.label):
-            self._answer_waiting(
+        elif self.hopper_empty and not self._count_on_plate(waiting.request.label):
+            self._reply_to_waiting(
                 Code.HOPPER_EMPTY,
                 f"no {waiting.request.label or 'part'} is on the plate, and no part came out of "
                 f"the hopper in {MAX_OPENINGS} openings",
             )
         elif now >= waiting.until:
             quantity, label = self.quantity(), waiting.request.label
-            self._answer_waiting(
+            self._reply_to_waiting(
                 Code.NO_PART,
                 f"no {label or 'part'} was ready within {waiting.timeout_s:g} s; parts on the "
                 f"plate: {sum(quantity.seen.values())}, of them {label or 'in the recipe'}: "
-                f"{self._on_plate(label)}; ready parts of any class: {quantity.ready}"
+                f"{self._count_on_plate(label)}; ready parts of any class: {quantity.ready}"
                 + ("; the hopper is empty" if self.hopper_empty else "")
                 + ("; the recipe has no hopper" if self.task.hopper is None else ""),
             )
@@ -562,14 +564,14 @@ class Feeder:
         # `_total_before_opening` is None if no opening is pending. In this case, no more parts will
         # fall on the plate.
         if purging and not left and self._total_before_opening is None:
-            self._answer_waiting(Code.DONE, "the plate is empty")
-            self._end()
+            self._reply_to_waiting(Code.DONE, "the plate is empty")
+            self._end_task()
         elif now >= waiting.until:
             text = f"{left} parts are still on the plate after {waiting.timeout_s:g} s"
-            self._answer_waiting(Code.NOT_PURGED, text)
-            self._end()
+            self._reply_to_waiting(Code.NOT_PURGED, text)
+            self._end_task()
 
-    def _rests(self) -> bool:
+    def _is_resting(self) -> bool:
         """Whether the plate was at rest in the newest status and stays at rest until the order
         changes."""
         status = self._status
@@ -593,14 +595,17 @@ class Feeder:
             other if other is not None and other.label == pick.label else pick
             for pick in self.task.picks
         ]
-        kept = {*self._held, *(part.id for part in self._ready() if self._is_aside(part))}
+        kept = {
+            *self._held,
+            *(part.id for part in self._ready_parts() if self._has_failed_often(part)),
+        }
         labels = [part_class(name) for name in kept]
         return tuple(
             replace(pick, ready=min(pick.ready + labels.count(pick.label), MAX_PARTS))
             for pick in picks
         )
 
-    def _sees_all(self) -> bool:
+    def _is_image_complete(self) -> bool:
         """Whether the newest image shows all parts. During a reservation, a robot may hide some
         parts."""
         newest = -math.inf if self._status is None else self._status.stamp
@@ -608,24 +613,24 @@ class Feeder:
             newest >= since + LATE_S for since in self._held.values()
         )
 
-    def _ready(self) -> tuple[ReadyPart, ...]:
+    def _ready_parts(self) -> tuple[ReadyPart, ...]:
         return () if self._status is None else self._status.ready
 
-    def _offers(self, request: _Request) -> list[ReadyPart]:
+    def _offered_parts(self, request: _Request) -> list[ReadyPart]:
         """Return the parts in the newest status that may be offered for the request `request`."""
         picks = {pick.label: pick for pick in self._picks()}
         return [
             part
-            for part in self._ready()
+            for part in self._ready_parts()
             if request.label in ("", part.label)
             and part.label in picks
             and as_picked(part.alone, picks[part.label], self._rig)[0]
             and part.id not in self._held
-            and not self._is_aside(part)
+            and not self._has_failed_often(part)
             and not self._is_fallen_on(part)
         ]
 
-    def _is_aside(self, part: ReadyPart) -> bool:
+    def _has_failed_often(self, part: ReadyPart) -> bool:
         failed = self._failures.get(part.id)
         return (
             failed is not None
@@ -642,7 +647,7 @@ class Feeder:
         x, y = hopper.place
         return math.hypot(part.x - x, part.y - y) <= SPREADS * hopper.spread_m
 
-    def _best(self, offers: list[ReadyPart]) -> ReadyPart:
+    def _select_part(self, offers: list[ReadyPart]) -> ReadyPart:
         picks = {pick.label: pick for pick in self._picks()}
 
         def rank(part: ReadyPart) -> tuple[int, float, str]:
@@ -656,25 +661,25 @@ class Feeder:
 
         return min(offers, key=rank)
 
-    def _on_plate(self, label: str) -> int:
+    def _count_on_plate(self, label: str) -> int:
         seen = {} if self._status is None else self._status.seen
         labels = [label] if label else [pick.label for pick in self.task.picks]
         return sum(seen.get(each, 0) for each in labels)
 
     # Orders
 
-    def _decide(self) -> None:
+    def _update_order(self) -> None:
         """Update the order to the planner. The mode of the order changes only after a status has
         confirmed the previous mode."""
         if self._task is not _Task.RUNNING:
             return
-        order = FeedOrder(self._mode(), self._picks(), hidden=self._reserved is not None)
+        order = FeedOrder(self._next_mode(), self._picks(), hidden=self._reserved is not None)
         if order.mode is self._sent.mode:
             self._sent = order
         elif self._in_force:
             self._sent, self._in_force = order, False
 
-    def _mode(self) -> FeedMode:
+    def _next_mode(self) -> FeedMode:
         waiting = self._waiting
         if self._reserved is not None:
             return FeedMode.REST
@@ -683,9 +688,9 @@ class Feeder:
         if waiting is not None:
             settling = self._sent.mode is FeedMode.REST and self._rested < SETTLED
             # If the plate is coming to rest, wait until it has settled.
-            ready = settling or self._offers(waiting.request)
+            ready = settling or self._offered_parts(waiting.request)
             return FeedMode.REST if ready else FeedMode.FEED
-        offers = [part.label for part in self._offers(self._prepared or _Request())]
+        offers = [part.label for part in self._offered_parts(self._prepared or _Request())]
         counts = {pick.label: pick.ready for pick in self.task.picks}
         if self._prepared is not None and self._prepared.label:
             label, pick = self._prepared.label, self._prepared.pick
@@ -696,7 +701,7 @@ class Feeder:
 
     # The hopper
 
-    def _open(self, now: float) -> float | None:
+    def _opening_time(self, now: float) -> float | None:
         """Return the value of `Output.open_s`: the time for which the hopper must be open from now
         on [s]."""
         hopper, status = self.task.hopper, self._status
@@ -711,14 +716,18 @@ class Feeder:
         total_parts = (
             total + quantity.taken + self._unreported + quantity.discharged + quantity.lost
         )
-        if self._total_before_opening is not None and now >= self._evaluate_at and self._sees_all():
+        if (
+            self._total_before_opening is not None
+            and now >= self._evaluate_at
+            and self._is_image_complete()
+        ):
             self._vain_openings = (
                 0 if total_parts > self._total_before_opening else self._vain_openings + 1
             )
             self._total_before_opening = None
         if self._reserved is not None or purging or self.no_status_text(now):
             return None
-        absent = self._waiting is not None and not self._on_plate(self._waiting.request.label)
+        absent = self._waiting is not None and not self._count_on_plate(self._waiting.request.label)
         enough = hopper.fill if absent else hopper.least
         if self._total_before_opening is not None or self.hopper_empty or total >= enough:
             return None

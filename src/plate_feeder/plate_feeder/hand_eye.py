@@ -146,10 +146,10 @@ def fit_hand_eye(frame: str, plate: np.ndarray, robot: np.ndarray) -> HandEye:
             f"largest distance between two points on the plate is {1e3 * base:.1f} mm, allowed: "
             f"{1e3 * MIN_BASE_M:g} mm or more"
         )
-    residuals, rotation, shift = _fit(p, q)
+    residuals, rotation, shift = _fit_rigid_motion(p, q)
     worst = int(np.argmax(residuals))
     if not residuals[worst] <= MAX_RESIDUAL_M:
-        mirrored, *_ = _fit(p.conj(), q)
+        mirrored, *_ = _fit_rigid_motion(p.conj(), q)
         hint = "; mirrored points would fit, so z of the robot's frame may point down"
         raise HandEyeError(
             f"residual of points[{worst}] is {1e3 * residuals[worst]:.2f} mm, "
@@ -160,7 +160,7 @@ def fit_hand_eye(frame: str, plate: np.ndarray, robot: np.ndarray) -> HandEye:
     return HandEye(frame, angle, shift.real, shift.imag, float(residuals[worst]))
 
 
-def _fit(p: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, complex, complex]:
+def _fit_rigid_motion(p: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, complex, complex]:
     """Return the residuals (N,) [m], the rotation as a complex number of magnitude 1, and the
     translation as a complex number [m]."""
     rotation = np.sum((p - p.mean()).conj() * (q - q.mean()))

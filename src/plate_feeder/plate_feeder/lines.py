@@ -95,7 +95,7 @@ def read_line(line: bytes) -> Command:
         )
     timeout_s, taken = 0.0, True
     if name in WAITING and rest and NUMBER.match(rest[-1]):
-        timeout_s = _seconds(rest.pop())
+        timeout_s = _read_seconds(rest.pop())
     elif name == "part_taken" and rest and rest[-1].lower() in ("ok", "failed"):
         taken = rest.pop().lower() == "ok"
     word = ""
@@ -109,7 +109,7 @@ def read_line(line: bytes) -> Command:
     return Command(name, label=word, timeout_s=timeout_s)
 
 
-def _seconds(word: str) -> float:
+def _read_seconds(word: str) -> float:
     if not SECONDS.fullmatch(word):
         raise LineError(Code.BAD_ARGUMENT, f"timeout_s is {word!r}, allowed: a number such as 2.5")
     return float(word)
@@ -128,7 +128,8 @@ def part_text(part: ReadyPart, valid_s: float) -> str:
     """Return a part's place in the robot's frame [mm, degrees] and its validity [s], as text."""
     degrees = math.degrees(math.remainder(part.angle, 2 * math.pi))
     return (
-        f"x={_rounded(1e3 * part.x)} y={_rounded(1e3 * part.y)} angle={_rounded(degrees)} "
+        f"x={_format_number(1e3 * part.x)} y={_format_number(1e3 * part.y)} "
+        f"angle={_format_number(degrees)} "
         f"id={part.id} class={part.label} valid_s={valid_s:.1f}"
     )
 
@@ -148,6 +149,6 @@ def help_text() -> str:
     return "; ".join(f"{name} {usage}".strip() for name, usage in COMMANDS.items())
 
 
-def _rounded(value: float) -> str:
+def _format_number(value: float) -> str:
     # adding 0.0 changes -0.0 to 0.0, so the text is never -0.00
     return f"{round(value, 2) + 0.0:.2f}"

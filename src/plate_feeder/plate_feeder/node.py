@@ -131,7 +131,7 @@ class FeederNode(SafeLifecycleNode[Options]):
         self._results: dict[bytes, tuple[Reply, Part | None]] = {}
         self._enabled_at: Any = None  # last known time at which the motors were enabled
         self._stopped = ""  # reason of the stop that was active when the node was deactivated
-        self.report(self._find, self._values)
+        self.report(self._diagnose, self._diagnostic_values)
 
     def configure(self) -> None:
         """Read the recipe and the hand-eye file, and create actions and services."""
@@ -163,14 +163,14 @@ class FeederNode(SafeLifecycleNode[Options]):
             (PurgePlate, "purge_plate", self._on_purge),
         ):
             server = ActionServer(
-                self, action, name, self._result, handle_accepted_callback=accepted,
+                self, action, name, self._make_result, handle_accepted_callback=accepted,
                 cancel_callback=self._on_cancel, result_timeout=RESULT_S,
             )  # fmt: skip
             self.keep(ActionServer.destroy, server)
         _, goal = scenario_to_goal(scenario)
         self._task = FeedGoal(self, goal, self._on_end)
         self.keep(FeedGoal.close, self._task)
-        self.managed_timer(STEP_S, self._step)
+        self.managed_timer(STEP_S, self._step_rules)
         self.managed_timer(FEEDBACK_S, self._publish_feedback)
 
     def begin(self) -> None:
@@ -208,26 +208,26 @@ class FeederNode(SafeLifecycleNode[Options]):
         """Reply to waiting commands, end the planner's task, and stop the TCP server."""
         self._stopped = self._feeder.stopped.removeprefix(core.WAITS)
         self._feeder.task_ended(STOPPED)
-        self._step()
+        self._step_rules()
         server, self._server = self._server, None
         if server is not None:
             server.close()
 
     # The rules
 
-    def _step(self) -> None:
+    def _step_rules(self) -> None:
         """Evaluate the rules with `Feeder.step`, and execute the actions that it returns."""
         now = time.monotonic()
         output = self._feeder.step(now)
         self._task.request(output.run)
         if self._task.runs:
-            self._send(output.order, now)
+            self._publish_order(output.order, now)
         if self._opening is not None and now >= self._opening[1]:
             self._hopper.remove_pending_request(self._opening[0])
             self._opening = None
             self._warn_of_hopper("the service hopper/open does not reply; check the hopper's node")
         if output.open_s is not None:
-            self._open(output.open_s, now)
+            self._open_hopper(output.open_s, now)
         for client, reply in output.replies:
             if reply.code is Code.HOPPER_EMPTY and self._hopper_problem:
                 reply = replace(reply, text=f"{reply.text}; {self._hopper_problem}")
@@ -235,18 +235,18 @@ class FeederNode(SafeLifecycleNode[Options]):
             if waiting is not None:
                 waiting(reply)
 
-    def _send(self, order: FeedOrder, now: float) -> None:
+    def _publish_order(self, order: FeedOrder, now: float) -> None:
         if order != self._order or now > self._ordered + ORDER_S:
             self._order, self._ordered = order, now
             stamp = self.get_clock().now().to_msg()
             self._orders.publish(order_to_msg(order, stamp))
 
-    def _open(self, open_s: float, now: float) -> None:
+    def _open_hopper(self, open_s: float, now: float) -> None:
         if not self._hopper.service_is_ready():
             self._warn_of_hopper("there is no service hopper/open; start the hopper's node")
             return
 
-        def answered(future: Any) -> None:
+        def on_answer(future: Any) -> None:
             response = future.result()
             self._opening, self._hopper_problem = None, ""
             if response is not None and not response.success:
@@ -255,20 +255,20 @@ class FeederNode(SafeLifecycleNode[Options]):
         request = OpenHopper.Request(duration_s=float(open_s))
         future = self._hopper.call_async(request)
         self._opening = future, now + open_s + HOPPER_S
-        future.add_done_callback(answered)
+        future.add_done_callback(on_answer)
 
     def _warn_of_hopper(self, text: str) -> None:
         self._hopper_problem = text
         self.get_logger().warning(text, throttle_duration_sec=WARN_PERIOD_S)
 
-    def _wait(self, client: int, reply: Reply | None, replied: Replied) -> None:
+    def _reply_or_wait(self, client: int, reply: Reply | None, replied: Replied) -> None:
         """Send the reply to a command. If `reply` is None, a later `Feeder.step` returns the reply,
         which is then sent."""
         if reply is None:
             self._waiting[client] = replied
         else:
             replied(reply)
-        self._step()
+        self._step_rules()
 
     # From the planner
 
@@ -289,7 +289,7 @@ class FeederNode(SafeLifecycleNode[Options]):
             lost=msg.lost,
         )
         self._feeder.receive_status(status, time.monotonic())
-        self._step()
+        self._step_rules()
 
     def _on_task(self, msg: TaskStatus) -> None:
         before, self._last_task = self._last_task, (msg.state, msg.reason)
@@ -297,17 +297,17 @@ class FeederNode(SafeLifecycleNode[Options]):
         # once.
         again = msg.state != TaskStatus.IDLE and self._last_task == before
         if msg.reason in (TaskStatus.STOPPED, TaskStatus.DRIVER_STOPPED) and not again:
-            self._wait_for_person(f"the planner was stopped: {msg.text}")
+            self._stop_until_resumed(f"the planner was stopped: {msg.text}")
         self._task.on_task_status(msg)
 
     def _on_driver(self, msg: DriverStatus) -> None:
         self._driver = msg
         if msg.reason in BY_PERSON:
-            self._wait_for_person(f"driver: {msg.text}")
+            self._stop_until_resumed(f"driver: {msg.text}")
         if msg.state == DriverStatus.READY:
             before, self._enabled_at = self._enabled_at, msg.enabled_at
             if before not in (None, msg.enabled_at) and not self._feeder.stopped:
-                self._wait_for_person("the motors were enabled again after a stop")
+                self._stop_until_resumed("the motors were enabled again after a stop")
 
     def _on_end(self, status: TaskStatus) -> None:
         self.get_logger().info(f"no longer feeding: {status.text}")
@@ -316,15 +316,15 @@ class FeederNode(SafeLifecycleNode[Options]):
         else:
             self._feeder.task_ended(status.text)
         if self.active:
-            self._step()
+            self._step_rules()
 
-    def _wait_for_person(self, why: str) -> None:
+    def _stop_until_resumed(self, why: str) -> None:
         """End the task, and refuse commands that move the plate until a person calls
         resume_feeding."""
         if not self._feeder.stopped:
             self.get_logger().info(f"no longer feeding: {why}")
         self._feeder.stop(why)
-        self._step()
+        self._step_rules()
 
     def _on_resume(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         driver = self._driver
@@ -343,43 +343,43 @@ class FeederNode(SafeLifecycleNode[Options]):
     def _on_get_part(self, goal: Any) -> None:
         request = goal.request
         if not self.active:
-            self._finish(goal, Reply(Code.STOPPED, STOPPED))
+            self._finish_goal(goal, Reply(Code.STOPPED, STOPPED))
             return
         reply = self._feeder.get_part(
-            ROS, request.type, _pick(request.pick), request.timeout_s, now=time.monotonic()
+            ROS, request.type, _read_pick(request.pick), request.timeout_s, now=time.monotonic()
         )
-        self._accept(goal, reply)
+        self._accept_goal(goal, reply)
 
     def _on_purge(self, goal: Any) -> None:
         if not self.active:
-            self._finish(goal, Reply(Code.STOPPED, STOPPED))
+            self._finish_goal(goal, Reply(Code.STOPPED, STOPPED))
             return
         reply = self._feeder.purge(ROS, goal.request.timeout_s, now=time.monotonic())
-        self._accept(goal, reply)
+        self._accept_goal(goal, reply)
 
-    def _accept(self, goal: Any, reply: Reply | None) -> None:
+    def _accept_goal(self, goal: Any, reply: Reply | None) -> None:
         if reply is None:
             self._goal = goal
-        self._wait(ROS, reply, lambda reply: self._finish(goal, reply))
+        self._reply_or_wait(ROS, reply, lambda reply: self._finish_goal(goal, reply))
 
     def _on_cancel(self, goal: Any) -> CancelResponse:
         if goal is not self._goal:
             return CancelResponse.REJECT
         self._feeder.cancel(ROS)
         self._waiting.pop(ROS, None)
-        self._finish(goal, Reply(Code.CANCELED, "canceled"))
-        self._step()
+        self._finish_goal(goal, Reply(Code.CANCELED, "canceled"))
+        self._step_rules()
         return CancelResponse.ACCEPT
 
-    def _finish(self, goal: Any, reply: Reply) -> None:
-        """Complete a goal. `_result` returns its result."""
+    def _finish_goal(self, goal: Any, reply: Reply) -> None:
+        """Complete a goal. `_make_result` returns its result."""
         if goal is self._goal:
             self._goal = None
         part = None if reply.part is None else self._parts[reply.part.id]
         self._results[bytes(goal.goal_id.uuid)] = reply, part
         goal.execute()
 
-    def _result(self, goal: Any) -> Any:
+    def _make_result(self, goal: Any) -> Any:
         reply, part = self._results.pop(bytes(goal.goal_id.uuid))
         if reply.code.done:
             goal.succeed()
@@ -408,22 +408,28 @@ class FeederNode(SafeLifecycleNode[Options]):
             left = sum(self._feeder.quantity().seen.values())
             self._goal.publish_feedback(PurgePlate.Feedback(left=left))
         else:
-            self._goal.publish_feedback(GetPart.Feedback(doing=self._doing(time.monotonic())))
+            self._goal.publish_feedback(
+                GetPart.Feedback(doing=self._activity_text(time.monotonic()))
+            )
 
     def _on_taken(
         self, request: PartTaken.Request, response: PartTaken.Response
     ) -> PartTaken.Response:
-        return self._respond(self._feeder.part_taken(ROS, request.id, request.taken), response)
+        return self._fill_response(
+            self._feeder.part_taken(ROS, request.id, request.taken), response
+        )
 
     def _on_prepare(
         self, request: PreparePart.Request, response: PreparePart.Response
     ) -> PreparePart.Response:
-        pick, now = _pick(request.pick), time.monotonic()
-        return self._respond(self._feeder.prepare_part(ROS, request.type, pick, now=now), response)
+        pick, now = _read_pick(request.pick), time.monotonic()
+        return self._fill_response(
+            self._feeder.prepare_part(ROS, request.type, pick, now=now), response
+        )
 
-    def _respond(self, reply: Reply, response: Any) -> Any:
+    def _fill_response(self, reply: Reply, response: Any) -> Any:
         response.success, response.message = reply.code.done, reply.text
-        self._step()
+        self._step_rules()
         return response
 
     def _on_quantity(
@@ -440,27 +446,27 @@ class FeederNode(SafeLifecycleNode[Options]):
     # the thread of the ROS node.
 
     def _on_command(self, client: int, command: Command, answer: Answer) -> None:
-        self._soon(lambda: self._do(client, command, answer))
+        self._schedule(lambda: self._execute_command(client, command, answer))
 
     def _on_disconnect(self, client: int) -> None:
-        self._soon(lambda: self._forget(client))
+        self._schedule(lambda: self._remove_client(client))
 
-    def _soon(self, work: Callable[[], None]) -> None:
+    def _schedule(self, work: Callable[[], None]) -> None:
         executor = self.executor
         if executor is not None:
             self._inbox.append(work)
-            executor.create_task(self._do_next)
+            executor.create_task(self._run_scheduled)
 
-    def _do_next(self) -> None:
+    def _run_scheduled(self) -> None:
         if self._inbox and self.active:
             self._inbox.popleft()()
 
-    def _forget(self, client: int) -> None:
+    def _remove_client(self, client: int) -> None:
         self._feeder.remove_client(client)
         self._waiting.pop(client, None)
-        self._step()
+        self._step_rules()
 
-    def _do(self, client: int, command: Command, answer: Answer) -> None:
+    def _execute_command(self, client: int, command: Command, answer: Answer) -> None:
         """Execute a command that a robot has sent over TCP."""
         feeder, now = self._feeder, time.monotonic()
 
@@ -485,7 +491,7 @@ class FeederNode(SafeLifecycleNode[Options]):
             reply = Reply(Code.DONE, quantity_text(feeder.quantity()))
         else:
             reply = Reply(Code.DONE, self._state_text(client, now))
-        self._wait(client, reply, send_reply)
+        self._reply_or_wait(client, reply, send_reply)
 
     def _state_text(self, client: int, now: float) -> str:
         feeder, kept = self._feeder, self._feeder.reserved
@@ -500,14 +506,14 @@ class FeederNode(SafeLifecycleNode[Options]):
 
     # Diagnostics
 
-    def _doing(self, now: float) -> str:
+    def _activity_text(self, now: float) -> str:
         quantity = self._feeder.quantity()
         return (
             f"{self._feeder.state(now).value}: {quantity.ready} of "
             f"{sum(quantity.seen.values())} parts on the plate are ready"
         )
 
-    def _find(self, now: float) -> Finding:
+    def _diagnose(self, now: float) -> Finding:
         """Return the most severe problem of the feeder, see `plate_core.status`."""
         feeder, quantity = self._feeder, self._feeder.quantity()
         found: list[Finding] = []
@@ -521,9 +527,9 @@ class FeederNode(SafeLifecycleNode[Options]):
             found.append(Finding(Level.WARN, self._hopper_problem))
         if quantity.lost:
             found.append(Finding(Level.WARN, f"{quantity.lost} parts left the plate over an edge"))
-        return worst(found, self._doing(now))
+        return worst(found, self._activity_text(now))
 
-    def _values(self) -> Mapping[str, Any]:
+    def _diagnostic_values(self) -> Mapping[str, Any]:
         quantity, server = self._feeder.quantity(), self._server
         return {
             "state": self._feeder.state(time.monotonic()).value,
@@ -538,7 +544,7 @@ class FeederNode(SafeLifecycleNode[Options]):
         }
 
 
-def _pick(msgs: list[FeedPick]) -> Pick | None:
+def _read_pick(msgs: list[FeedPick]) -> Pick | None:
     """Return the pick of a request, or None if the request has no pick. If the pick contains no
     number of ready parts, the number 1 is used."""
     if not msgs:

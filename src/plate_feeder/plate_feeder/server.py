@@ -112,7 +112,7 @@ class RobotServer:
         self._count, self._tasks = 0, set[asyncio.Task[None]]()
         self._loop = asyncio.new_event_loop()
         self._stop = asyncio.Event()
-        self._thread = threading.Thread(target=self._run, name="robots", daemon=True)
+        self._thread = threading.Thread(target=self._run_event_loop, name="robots", daemon=True)
         self._thread.start()
 
     @property
@@ -125,12 +125,12 @@ class RobotServer:
         self._loop.call_soon_threadsafe(self._stop.set)
         self._thread.join(2 * LAST_S + 1)
 
-    def _run(self) -> None:
+    def _run_event_loop(self) -> None:
         with asyncio.Runner(loop_factory=lambda: self._loop) as runner:
-            runner.run(self._serve())
+            runner.run(self._start_server())
 
-    async def _serve(self) -> None:
-        server = await asyncio.start_server(self._meet, sock=self._socket, limit=CHUNK)
+    async def _start_server(self) -> None:
+        server = await asyncio.start_server(self._serve_client, sock=self._socket, limit=CHUNK)
         await self._stop.wait()
         server.close()
         if self._tasks:
@@ -140,7 +140,9 @@ class RobotServer:
         if self._tasks:
             await asyncio.wait(tuple(self._tasks), timeout=LAST_S)
 
-    async def _meet(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    async def _serve_client(
+        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
+    ) -> None:
         """Serve a client until it disconnects."""
         task = asyncio.current_task()
         assert task is not None
@@ -193,7 +195,8 @@ class _Client:
     async def serve(self) -> None:
         """Read and execute commands until the client disconnects or the server ends."""
         reading, doing, stop = (
-            asyncio.ensure_future(each) for each in (self._read(), self._do(), self._stop.wait())
+            asyncio.ensure_future(each)
+            for each in (self._read_lines(), self._execute_commands(), self._stop.wait())
         )
         try:
             await asyncio.wait((reading, doing, stop), return_when=asyncio.FIRST_COMPLETED)
@@ -211,7 +214,7 @@ class _Client:
             self._writer.close()
             await asyncio.wait_for(self._writer.wait_closed(), LAST_S)
 
-    async def _read(self) -> None:
+    async def _read_lines(self) -> None:
         """Read lines and append them to the queue. Stop when the client closes its side of the
         connection or must be disconnected."""
         loop, buffer, began = asyncio.get_running_loop(), b"", 0.0
@@ -233,16 +236,16 @@ class _Client:
                 return
             *lines, rest = (buffer + chunk).replace(b"\r", b"\n").split(b"\n")
             for line in filter(None, lines):
-                if WEB in line.lower() or not self._take(line):
+                if WEB in line.lower() or not self._queue_line(line):
                     return
             if len(rest) > MAX_LINE:
-                self._take(rest)
+                self._queue_line(rest)
                 return
             if lines or not buffer:
                 began = loop.time()
             buffer = rest
 
-    def _take(self, line: bytes) -> bool:
+    def _queue_line(self, line: bytes) -> bool:
         """Append a line to the queue. Return False if the queue is too long."""
         item: Command | tuple[Code, str]
         try:
@@ -256,7 +259,7 @@ class _Client:
         self._queue.put_nowait(item)
         return self._queue.qsize() <= MAX_ANSWERS
 
-    async def _do(self) -> None:
+    async def _execute_commands(self) -> None:
         """Execute the queued commands one after the other. Stop when the client no longer reads the
         replies."""
         with contextlib.suppress(OSError, TimeoutError):
@@ -265,7 +268,7 @@ class _Client:
                 if isinstance(item, Command):
                     self._waiting -= 1
                     self._busy = True
-                    item = await self._answer(item)
+                    item = await self._execute_command(item)
                     self._busy = False
                     await self._send(*item)
                     await asyncio.sleep(PAUSE_S)
@@ -273,7 +276,7 @@ class _Client:
                     await self._send(*item)
                 self._queue.task_done()
 
-    async def _answer(self, command: Command) -> tuple[Code, str]:
+    async def _execute_command(self, command: Command) -> tuple[Code, str]:
         if command.name == "help":
             return Code.DONE, help_text()
         loop = asyncio.get_running_loop()
@@ -281,9 +284,9 @@ class _Client:
 
         def answer(code: Code, text: str) -> None:
             with contextlib.suppress(RuntimeError):  # the event loop was closed
-                loop.call_soon_threadsafe(take, code, text)
+                loop.call_soon_threadsafe(set_answer, code, text)
 
-        def take(code: Code, text: str) -> None:
+        def set_answer(code: Code, text: str) -> None:
             if not answered.done():
                 answered.set_result((code, text))
 

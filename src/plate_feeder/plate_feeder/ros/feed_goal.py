@@ -55,7 +55,7 @@ class FeedGoal:
         """Start the task if `run` is True, otherwise cancel it. The caller must call this method
         repeatedly, because lost messages are sent again only in this method."""
         if self._sent and not run:
-            self._cancel()
+            self._cancel_goal()
         now = time.monotonic()
         waits = (self._ending and now < self._until) or (
             self._sent and (self.runs or now < self._answer_by)
@@ -78,7 +78,7 @@ class FeedGoal:
             if status.state == TaskStatus.RUNNING:  # another task has replaced this one
                 reason = TaskStatus.PREEMPTED
             text = f"the planner's task has ended: {status.text}"
-            self._over(TaskStatus(reason=reason, text=text))
+            self._end_goal(TaskStatus(reason=reason, text=text))
         elif self.runs:
             self._seen = running
 
@@ -86,14 +86,14 @@ class FeedGoal:
         """Destroy the client."""
         self._client.destroy()
 
-    def _cancel(self) -> None:
+    def _cancel_goal(self) -> None:
         if self._handle is not None:
             self._handle.cancel_goal_async()
         self._ending, self._until = self._number, time.monotonic() + END_S
         self._sent = self.runs = self._seen = False
         self._handle = None
 
-    def _over(self, status: TaskStatus) -> None:
+    def _end_goal(self, status: TaskStatus) -> None:
         self._sent = self.runs = self._seen = False
         self._handle = None
         self._ended(status)
@@ -111,10 +111,10 @@ class FeedGoal:
             else:
                 handle.cancel_goal_async()
         elif is_newest:
-            self._over(TaskStatus(text="the planner refused the goal"))
+            self._end_goal(TaskStatus(text="the planner refused the goal"))
 
     def _on_end(self, number: int, future: Any) -> None:
         if self._ending == number:
             self._ending = 0
         if self._sent and number == self._number:
-            self._over(future.result().result.status)
+            self._end_goal(future.result().result.status)
