@@ -20,7 +20,7 @@ from plate_core.rig import Limits
 from plate_core.serial_protocol import Trouble
 
 from .master import HEARTBEAT, NMT, OWN_NODE, RPDO, SYNC, TPDO, Master, Refused, trouble_text
-from .survey import enabled, in_fault
+from .survey import has_current, is_in_fault
 
 CYCLE_MS = 10
 """Length of a bus cycle [ms]. The drive interpolates between two setpoints over this time."""
@@ -72,7 +72,7 @@ used here. The node number is added to the values of 1400h:01 and 1800h:01."""
 
 
 @contextlib.contextmanager
-def uninterrupted() -> Iterator[None]:
+def ignore_signals() -> Iterator[None]:
     """Ignore SIGINT, SIGTERM and SIGHUP in the context. The code that disables drives therefore
     cannot be interrupted by these signals."""
     signals = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -90,9 +90,9 @@ def switch_off(master: Master, motor: int, node: int) -> None:
     end = master.now + OFF_S
     try:
         master.write(node, 0x6040, 0, DISABLE, 2)
-        while enabled(status := master.read(node, 0x6041)) and master.now < end:
+        while has_current(status := master.read(node, 0x6041)) and master.now < end:
             master.wait(0.02)
-        if not enabled(status):
+        if not has_current(status):
             return
         why = trouble_text(motor, Trouble.KEEPS, 0, status)
     except PlateError as error:
@@ -155,17 +155,17 @@ class Axis:
         stop is omitted if the drive did not follow its setpoints. Such a drive would not follow the
         ramp of a quick stop either."""
         master, end = self._master, self._master.now + OFF_S
-        with uninterrupted():
+        with ignore_signals():
             # ignore errors of the bus here, because the SDOs below report them
             with contextlib.suppress(PlateError):
                 brakes = error is not None and not self._deviates
-                while brakes and enabled(self._status) and master.now < end:
-                    self._exchange(QUICK_STOP)
+                while brakes and has_current(self._status) and master.now < end:
+                    self._exchange_frames(QUICK_STOP)
             try:
                 switch_off(master, self._motor, self._node)
                 # The drive no longer expects the host's heartbeat.
                 master.write(self._node, 0x1016, 1, 0, 4)
-                self._command(PRE_OPERATIONAL)
+                self._send_controlword(PRE_OPERATIONAL)
             except PlateError as more:
                 if error is None or isinstance(error, PlateError):
                     raise PlateError(f"{error}; {more}" if error else str(more)) from None
@@ -175,13 +175,13 @@ class Axis:
         """Displacement since the drive was enabled, computed from the drive's counts [m]."""
         return (self.position - self.start) / self.scale
 
-    def _command(self, order: int) -> None:
+    def _send_controlword(self, order: int) -> None:
         self._master.send(NMT, bytes([order, self._node]))
 
     def _set_up(self) -> None:
         master, received, node = self._master, self._received, self._node
         received.boots = 0
-        self._command(RESET_COMMUNICATION)
+        self._send_controlword(RESET_COMMUNICATION)
         master.wait(READY_S, lambda: received.boots)
         for index, sub, value, size in STEPS:
             value += node if index in (0x1400, 0x1800) and sub == 1 else 0
@@ -196,14 +196,14 @@ class Axis:
         mode = master.read(node, 0x6061, signed=True)
         if mode != 8:
             raise PlateError(trouble_text(self._motor, Trouble.WRONG_DRIVE, 0x6061, mode))
-        self._command(START)
+        self._send_controlword(START)
         master.wait(1e-3 * TIMEOUT_MS, lambda: received.state == OPERATIONAL)
         received.boots, received.emergency, self._due = 0, None, master.now
         for _ in range(2):  # exchange twice, because the first reply may belong to an earlier SYNC
-            self._exchange(None)
+            self._exchange_frames(None)
         self._missed = self._doubled = 0
 
-    def _exchange(self, word: int | None) -> None:
+    def _exchange_frames(self, word: int | None) -> None:
         """Send a controlword and the target position, then SYNC. Receive the frames of this bus
         cycle. If `word` is None, only SYNC is sent."""
         master, places, cycle_s = self._master, self._received.places, 1e-3 * CYCLE_MS
@@ -226,11 +226,11 @@ class Axis:
             self._status = int.from_bytes(places[-1][:2], "little")
             self.position = int.from_bytes(places[-1][2:], "little", signed=True)
 
-    def _cycle(self, word: int, target: int) -> None:
+    def _run_bus_cycle(self, word: int, target: int) -> None:
         """Run one bus cycle, and check for faults. The drive must reach `target` [counts] at the
         end of the cycle."""
         reached, self._target = self._target, target
-        self._exchange(word)
+        self._exchange_frames(word)
         received, deviation = self._received, abs(self.position - reached) / abs(self.scale)
         troubles = (
             (received.emergency, Trouble.EMERGENCY, *(received.emergency or (0, 0))[::-1]),
@@ -239,7 +239,7 @@ class Axis:
             (self._master.now - received.beat_at > 1e-3 * TIMEOUT_MS, Trouble.SILENT, 0, 0),
             (self._missed == MISSED, Trouble.NO_POSITION, 0, 0),
             (self._doubled == MISSED, Trouble.TWICE, 0, 0),
-            (in_fault(self._status), Trouble.FAULT, 0, self._status),
+            (is_in_fault(self._status), Trouble.FAULT, 0, self._status),
             (self._led and self._status & LEADABLE != LED, Trouble.LEFT, 0, self._status),
         )  # fmt: skip
         for so, kind, index, code in troubles:
@@ -247,7 +247,7 @@ class Axis:
                 raise PlateError(trouble_text(self._motor, kind, index, code))
         if self._master.other_master:
             raise PlateError(trouble_text(0, Trouble.OTHER_MASTER))
-        self._deviates = enabled(self._status) and deviation > self._allowed
+        self._deviates = has_current(self._status) and deviation > self._allowed
         if self._deviates:
             raise PlateError(
                 f"motor_{self._motor}: does not follow; following error is {1e3 * deviation:.2g} "
@@ -266,7 +266,7 @@ class Axis:
         """
         end, stands, rest = self._master.now + READY_S, 0, self.position
         while stands < STILL_CYCLES:
-            self._cycle(DISABLE, self.position)
+            self._run_bus_cycle(DISABLE, self.position)
             moved = abs(self.position - rest) > STILL_M * abs(self.scale)
             stands, rest = (0, self.position) if moved else (stands + 1, rest)
             if self._master.now > end:
@@ -284,12 +284,14 @@ class Axis:
             known = {0x21: SWITCH_ON, 0x23: OPERATE}
             # whether the drive is in the state "switch on disabled"
             ready = self._status & 0x4F == 0x40
-            self._cycle(SHUTDOWN if ready else known.get(self._status & 0x6F, 0), self.position)
+            self._run_bus_cycle(
+                SHUTDOWN if ready else known.get(self._status & 0x6F, 0), self.position
+            )
         self.start, self._led = self._target, True
 
     def hold(self) -> None:
         """Keep the motor at its present target for one bus cycle."""
-        self._cycle(OPERATE, self._target)
+        self._run_bus_cycle(OPERATE, self._target)
 
     def follow(self, path: Callable[[float], float], seconds: float) -> np.ndarray:
         """Move the motor along a path for the time `seconds` [s]. Return an array (2, n) of
@@ -300,6 +302,6 @@ class Axis:
         rows = []
         for k in range(1, round(1e3 * seconds / CYCLE_MS) + 1):
             reached = self._target
-            self._cycle(OPERATE, self.start + round(path(1e-3 * k * CYCLE_MS) * self.scale))
+            self._run_bus_cycle(OPERATE, self.start + round(path(1e-3 * k * CYCLE_MS) * self.scale))
             rows.append((reached - self.start, self.position - self.start))
         return np.transpose(rows) / self.scale

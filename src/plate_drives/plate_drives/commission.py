@@ -18,10 +18,10 @@ import numpy as np
 from plate_core import PlateError, Rig, load_rig, piped
 from plate_core.rig import Drive, Limits, rig_path
 
-from .axis import CYCLE_MS, Axis, switch_off, uninterrupted
+from .axis import CYCLE_MS, Axis, ignore_signals, switch_off
 from .master import Master, open_bus
 from .rig_file import differences, write
-from .survey import BusNode, bus_warnings, drives_of, enabled, survey
+from .survey import BusNode, bus_warnings, drives_of, has_current, read_bus
 
 __all__ = ["AskUser", "ask", "commission", "main"]
 
@@ -80,7 +80,7 @@ class Dialogue:
         answers, and limit the time for the answer to `ANSWER_S`."""
         end = self._master.now + ANSWER_S
 
-        def meanwhile() -> None:
+        def keep_bus_alive() -> None:
             if axis is None:
                 self._master.wait(0.02)
             elif self._master.now > end:
@@ -88,7 +88,7 @@ class Dialogue:
             else:
                 axis.hold()
 
-        return self._ask(question, meanwhile)
+        return self._ask(question, keep_bus_alive)
 
     def measured(self) -> tuple[dict[str, Drive], bool]:
         """Return the measured drives by the names of their motors, and whether no measurement has
@@ -107,7 +107,7 @@ class Dialogue:
                 print(f"motor_{number} is skipped")
                 continue
             try:
-                name, changed = self._axis(number, drive)
+                name, changed = self._commission_axis(number, drive)
                 if name in new:
                     raise PlateError(f"{name} was named twice, allowed: each motor once")
                 new[name] = changed
@@ -116,7 +116,7 @@ class Dialogue:
                 print(f"error: {error}\nmotor_{number}: this result is not used", flush=True)
         return new, well
 
-    def _axis(self, number: int, drive: Drive) -> tuple[str, Drive]:
+    def _commission_axis(self, number: int, drive: Drive) -> tuple[str, Drive]:
         """Identify, measure and test one drive. Return the name of the drive's motor and the new
         values of the drive."""
         limits, size, values = self._rig.limits, self._size, self._nodes[drive.node].values
@@ -137,7 +137,7 @@ class Dialogue:
                         f"counts_per_m is {drive.counts_per_m:g} and probably too large, because "
                         f"you saw about 1 mm when {1e3 * size * before:g} mm was commanded"
                     )
-                axis.follow(_move(size * before, size * part, seconds), seconds)
+                axis.follow(_smooth_motion(size * before, size * part, seconds), seconds)
                 before = part
             if axis.travel < size / 2:
                 raise PlateError(
@@ -155,9 +155,9 @@ class Dialogue:
                 f"The drive has measured {travel_mm:+.3f} mm of travel. Which distance did you see "
                 f"[mm], positive along {direction}? Enter for the same:", axis,
             )  # fmt: skip
-            axis.follow(_move(size, 0.0, seconds), seconds)
-            axis.scale = _scale(scale, travel_mm, answer)
-            self._swing(axis, size * min(1, abs(scale / axis.scale)), limits)
+            axis.follow(_smooth_motion(size, 0.0, seconds), seconds)
+            axis.scale = _corrected_scale(scale, travel_mm, answer)
+            self._swing_motor(axis, size * min(1, abs(scale / axis.scale)), limits)
         place = self._master.read(drive.node, 0x6064, signed=True) / axis.scale
         home = "absolute" if drive.absolute else "here"
         home = self.ask(
@@ -174,28 +174,28 @@ class Dialogue:
             )
         return motor.name, replace(
             drive, counts_per_m=abs(axis.scale), sign=1 if axis.scale > 0 else -1,
-            absolute=home == "absolute", serial=self._serial(drive),
+            absolute=home == "absolute", serial=self._read_serial_number(drive),
         )  # fmt: skip
 
     def _check_off(self) -> None:
         """Raise a PlateError if any drive is enabled."""
         for number, drive in enumerate(drives_of(self._rig), 1):
-            if enabled(self._master.read(drive.node, 0x6041)):
+            if has_current(self._master.read(drive.node, 0x6041)):
                 raise PlateError(f"motor_{number}: the drive has current, allowed: no current")
 
-    def _serial(self, drive: Drive) -> int:
+    def _read_serial_number(self, drive: Drive) -> int:
         """Return a drive's serial number. If several drives report the same number, return the
         number in the rig file."""
         serials = [one.values.get("serial", 0) for one in self._nodes.values()]
         own = self._nodes[drive.node].values.get("serial", 0)
         return own if serials.count(own) == 1 else drive.serial
 
-    def _swing(self, axis: Axis, size: float, limits: Limits) -> None:
+    def _swing_motor(self, axis: Axis, size: float, limits: Limits) -> None:
         """Move the motor along a sine within the limits, and print the following error."""
         by_speed, by_accel = FRACTION * limits.speed / size, np.sqrt(FRACTION * limits.accel / size)
         rate = min(2 * np.pi * SWING_HZ, by_speed, by_accel)
         targets, actual = axis.follow(
-            lambda t: size * np.sin(rate * t) * _smooth(t) * _smooth(SWING_S - t), SWING_S
+            lambda t: size * np.sin(rate * t) * _smooth_step(t) * _smooth_step(SWING_S - t), SWING_S
         )
         error = 1e3 * (actual - targets)
         rms, speed = np.sqrt(np.mean(error**2)), np.gradient(targets, 1e-3 * CYCLE_MS)
@@ -210,20 +210,20 @@ class Dialogue:
         )
 
 
-def _smooth(u: float) -> float:
+def _smooth_step(u: float) -> float:
     """Return 10 u^3 - 15 u^4 + 6 u^5, with u clipped to 0 to 1. The polynomial rises from 0 to 1
     with zero slope and curvature at both ends."""
     u = min(max(u, 0.0), 1.0)
     return u**3 * (10 - u * (15 - 6 * u))
 
 
-def _move(start: float, end: float, seconds: float) -> Callable[[float], float]:
+def _smooth_motion(start: float, end: float, seconds: float) -> Callable[[float], float]:
     """Return a function from time [s] to displacement [m]. The displacement changes smoothly from
     `start` to `end` within `seconds`."""
-    return lambda t: start + (end - start) * _smooth(t / seconds)
+    return lambda t: start + (end - start) * _smooth_step(t / seconds)
 
 
-def _scale(scale: float, commanded_mm: float, answer: str) -> float:
+def _corrected_scale(scale: float, commanded_mm: float, answer: str) -> float:
     """Return the corrected counts per metre. The value is negative if the drive counts against the
     motor's direction. `commanded_mm` is the travel according to `scale`, and `answer` is the travel
     that a person observed [mm]."""
@@ -246,7 +246,7 @@ def commission(path: Path, master: Master, only_check: bool, ask: AskUser = ask)
     Return 0 if all drives fit the rig file or the result was written, otherwise 1.
     """
     rig = load_rig(path)
-    drives, found = drives_of(rig), survey(master)
+    drives, found = drives_of(rig), read_bus(master)
     print("\n".join(map(str, found.values())) or "no node answers on the bus")
     wrong = list(bus_warnings(rig, found, master.other_master))
     for warning in wrong:
@@ -259,7 +259,7 @@ def commission(path: Path, master: Master, only_check: bool, ask: AskUser = ask)
     try:
         new, well = dialogue.measured()
     finally:
-        well = _all_off(master, drives) and well
+        well = _switch_all_off(master, drives) and well
     old = {motor.name: drive for motor, drive in zip(rig.motors, drives, strict=True)}
     changes = {name: differences(old[name], drive) for name, drive in new.items()}
     for name, keys in changes.items():
@@ -274,11 +274,11 @@ def commission(path: Path, master: Master, only_check: bool, ask: AskUser = ask)
     return int(not well)
 
 
-def _all_off(master: Master, drives: Sequence[Drive]) -> bool:
+def _switch_all_off(master: Master, drives: Sequence[Drive]) -> bool:
     """Disable all drives. If a drive fails, continue with the next drive. Return whether all drives
     are without current."""
     off = True
-    with uninterrupted():
+    with ignore_signals():
         for number, drive in enumerate(drives, 1):
             try:
                 switch_off(master, number, drive.node)

@@ -127,11 +127,11 @@ class Master:
     def wait(self, seconds: float, done: Callable[[], object] = lambda: False) -> None:
         """Receive frames for `seconds` [s], or until `done` returns a true value."""
         for identifier, data in self.frames(self.now + seconds):
-            self._take(identifier, data)
+            self._process_frame(identifier, data)
             if done():
                 return
 
-    def _take(self, identifier: int, data: bytes) -> None:
+    def _process_frame(self, identifier: int, data: bytes) -> None:
         kind, received = identifier & 0x780, self.received.get(identifier & 0x7F)
         if identifier in (NMT, SYNC, HEARTBEAT + OWN_NODE) or kind in (RPDO, REQUEST):
             self.other_master = True
@@ -152,7 +152,7 @@ class Master:
         refuses the request is included."""
         for node in NODES:
             self.received[node].answers.clear()
-            self._request(node, 0x40, index, 0)
+            self._request_object(node, 0x40, index, 0)
             # wait after each 16 requests, because CAN adapters buffer only few frames
             if node % 16 == 0:
                 self.wait(0.01)
@@ -168,7 +168,7 @@ class Master:
             If the node does not reply, the value has more than four bytes, or the node refuses the
             request. If the node refuses, the error is a `Refused`.
         """
-        answer = self._transfer(node, 0x40, index, sub)
+        answer = self._transfer_object(node, 0x40, index, sub)
         if answer[0] & 0xE2 != 0x42:
             raise PlateError(f"node {node}: object {index:04X}h is longer than four bytes")
         size = 4 - (answer[0] >> 2 & 3 if answer[0] & 1 else 0)
@@ -177,19 +177,23 @@ class Master:
     def write(self, node: int, index: int, sub: int, value: int, size: int) -> None:
         """Set an object of a node to a value of 1, 2 or 4 bytes. The function raises the same
         errors as `read`."""
-        self._transfer(node, 0x23 | (4 - size) << 2, index, sub, value)
+        self._transfer_object(node, 0x23 | (4 - size) << 2, index, sub, value)
 
-    def _request(self, node: int, command: int, index: int, sub: int, value: int = 0) -> bytes:
+    def _request_object(
+        self, node: int, command: int, index: int, sub: int, value: int = 0
+    ) -> bytes:
         """Send a request for an object. Return the bytes by which the reply identifies this
         object."""
         name = index.to_bytes(2, "little") + bytes([sub])
         self.send(REQUEST + node, bytes([command]) + name + (value % 2**32).to_bytes(4, "little"))
         return name
 
-    def _transfer(self, node: int, command: int, index: int, sub: int, value: int = 0) -> bytes:
+    def _transfer_object(
+        self, node: int, command: int, index: int, sub: int, value: int = 0
+    ) -> bytes:
         answers = self.received[node].answers
         answers.clear()
-        name = self._request(node, command, index, sub, value)
+        name = self._request_object(node, command, index, sub, value)
         self.wait(ANSWER_S, lambda: answers and answers[-1][1:4] == name)
         if not answers or answers[-1][1:4] != name:
             raise PlateError(f"node {node} does not answer within {ANSWER_S} s")

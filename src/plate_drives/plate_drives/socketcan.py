@@ -79,7 +79,7 @@ def build(header: str, kind: str, folder: Path, *files: str) -> Path:
 
 
 @lru_cache(maxsize=1)
-def _built(header: str, kind: str) -> tuple[Path, tempfile.TemporaryDirectory[str]]:
+def _compile_program(header: str, kind: str) -> tuple[Path, tempfile.TemporaryDirectory[str]]:
     """Compile the program only once per process. Compilation takes a second or more, which would
     delay a stop that must open a transport."""
     folder = tempfile.TemporaryDirectory(prefix="plate-")
@@ -104,7 +104,7 @@ def program_of(rig: Rig) -> Path:
         )
     header = c_header(DeviceLimits.of_rig(rig), "the rig file", drives)
     try:
-        return _built(header, drives[0].kind)[0]
+        return _compile_program(header, drives[0].kind)[0]
     # an OSError is raised, for example, if the disk is full
     except (OSError, subprocess.TimeoutExpired) as error:
         raise PlateError(f"the firmware cannot be compiled: {error}") from None
@@ -244,7 +244,7 @@ class HostTransport(SerialTransport):
         )  # a tick is 1 ms, so `load` is in ms
         ready = not self._too_late and self.report().condition is Condition.READY
         if ready and self._late_ms > self.allowed_ms:
-            self._too_late = self._lateness()
+            self._too_late = self._lateness_text()
             self.stop()
         return measured
 
@@ -252,7 +252,7 @@ class HostTransport(SerialTransport):
         """Request that the motors are enabled. The request fails if recent setpoints were too late
         for the rig."""
         if self._late_ms > self.allowed_ms:
-            return Order().complete(self._lateness())
+            return Order().complete(self._lateness_text())
         self._too_late = ""
         return super().enable()
 
@@ -271,7 +271,7 @@ class HostTransport(SerialTransport):
             values["setpoints_late_ms"] = values.pop("device_load")
         return values
 
-    def _lateness(self) -> str:
+    def _lateness_text(self) -> str:
         return (
             f"setpoints were {self._late_ms:.1f} ms late, allowed: {self.allowed_ms:.1f} ms "
             "(following_error_m / speed_mps); this computer is too busy for this rig"

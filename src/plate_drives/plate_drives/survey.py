@@ -27,13 +27,13 @@ and to interpolate setpoints."""
 PROFILE, CYCLIC_POSITION, UNWATCHED = 402, 1 << 7, 2**32 - 1
 
 
-def enabled(status: int) -> bool:
+def has_current(status: int) -> bool:
     """Whether a drive with this statusword has current. A drive has current in operation and during
     its quick stop."""
     return status & 0x6F in (0x27, 0x07)
 
 
-def in_fault(status: int) -> bool:
+def is_in_fault(status: int) -> bool:
     """Whether a drive with this statusword is in the state fault or fault reaction."""
     return status & 0x48 == 0x08
 
@@ -66,16 +66,16 @@ class BusNode:
 
     def __str__(self) -> str:
         known, status = self.values, self.values.get("status", 0)
-        state = "in fault" if in_fault(status) else "without current"
+        state = "in fault" if is_in_fault(status) else "without current"
         return (
             f"node {self.node}: device type {known.get('device type', 0):X}h, vendor "
             f"{known.get('vendor', 0):X}h, serial {known.get('serial', 0)}, position "
             f"{known.get('position', 0)}, interpolates over {known.get('period', 0)}e"
-            f"{known.get('exponent', 0)} s, {'WITH CURRENT' if enabled(status) else state}"
+            f"{known.get('exponent', 0)} s, {'WITH CURRENT' if has_current(status) else state}"
         )
 
 
-def survey(master: Master) -> dict[int, BusNode]:
+def read_bus(master: Master) -> dict[int, BusNode]:
     """Read all nodes on the bus, and return them by their numbers. No object is written.
 
     Raises
@@ -114,16 +114,16 @@ def bus_warnings(
         yield RigWarning("bus", trouble_text(0, Trouble.OTHER_MASTER), True)
     drives = drives_of(rig)
     for number, drive in enumerate(drives, 1):
-        for text in _of_drive(number, drive, found):
+        for text in _compare_drive(number, drive, found):
             yield RigWarning("motors", text, True)
         one = found.get(drive.node)
-        for text, wrong in _of_limits(drive, one, rig.limits) if one and one.is_drive else ():
+        for text, wrong in _compare_limits(drive, one, rig.limits) if one and one.is_drive else ():
             yield RigWarning("limits", f"motor_{number}: {text}", wrong)
     for node in sorted(set(found) - {drive.node for drive in drives}):
         yield RigWarning("bus", f"node {node} is on the bus but not in the rig file")
 
 
-def _of_drive(number: int, drive: Drive, found: Mapping[int, BusNode]) -> Iterator[str]:
+def _compare_drive(number: int, drive: Drive, found: Mapping[int, BusNode]) -> Iterator[str]:
     name, node, one = f"motor_{number}", drive.node, found.get(drive.node)
     same = [k for k, n in found.items() if drive.serial and n.values.get("serial") == drive.serial]
     swapped = f"; the serial number of the rig file is at node {same[0]}" if same else ""
@@ -146,17 +146,17 @@ def _of_drive(number: int, drive: Drive, found: Mapping[int, BusNode]) -> Iterat
         yield f"{name}: node {node} has serial {serial}, allowed: {drive.serial}{swapped}"
     for needed in set(NEEDED) & set(one.refusals):
         yield f"{name}: {one.refusals[needed]}, so it cannot be controlled"
-    if in_fault(status):
+    if is_in_fault(status):
         why = f"error code {code:04X}h{emergency_text(code)}, error register {register:02X}h"
         yield f"{trouble_text(number, Trouble.FAULT, code=status)}: {why}"
-    elif enabled(status):
+    elif has_current(status):
         yield (
             f"{name}: the drive has current (statusword {status:04X}h), allowed: no current. "
             "Another program may control it"
         )
 
 
-def _of_limits(drive: Drive, one: BusNode, limits: Limits) -> Iterator[tuple[str, bool]]:
+def _compare_limits(drive: Drive, one: BusNode, limits: Limits) -> Iterator[tuple[str, bool]]:
     """Yield a text about each limit of the drive that is missing, or that is stricter than the
     limits of the rig. Also yield whether the text describes an error."""
     low, high, speed, window = (
