@@ -26,7 +26,7 @@ from plate_bringup.loop import Setup, load_planner, summary, with_settings
 from plate_core import PlateError, Rig, load_rig, piped
 from plate_core.tasks import Scenario, load_scenario
 from plate_planner import Planner
-from tasks.runs import summed
+from tasks.runs import summarise
 
 MAX_RUNS = 100_000
 """Maximum number of runs per call. A larger number of runs would take weeks."""
@@ -35,7 +35,7 @@ MAX_RUNS = 100_000
 @piped()
 def main() -> int:
     """Run the command line. Return its exit code."""
-    args = _arguments()
+    args = _parse_arguments()
     try:
         scenario = load_scenario(args.scenario)
         rig = load_rig(args.rig or scenario.rig)
@@ -45,17 +45,17 @@ def main() -> int:
                 f"scenario is {args.scenario}, whose task never ends, allowed: a task that ends "
                 "(for a feeder use ros2 run plate_bringup qualify)"
             )
-        settings = dict(_pair(text) for text in args.set)
+        settings = dict(_parse_setting(text) for text in args.set)
         if args.planner:
             load_planner(args.planner, rig)
         code = Path(args.planner).read_bytes() if args.planner else b""
         setup = with_settings(Setup(scenario, own_planner=args.planner), settings)
-        marks = _marks(scenario, rig, code, settings) if args.json else {}
+        marks = _result_metadata(scenario, rig, code, settings) if args.json else {}
         rows = Rows(args.json, marks)
         there = [rows.by_seed[seed] for seed in args.seeds if seed in rows.by_seed]
         missing = [seed for seed in args.seeds if seed not in rows.by_seed]
         work = [(replace(setup, seed=seed), rig, code) for seed in missing]
-        pool = _pool(args) if work else nullcontext()
+        pool = _make_pool(args) if work else nullcontext()
     except BrokenPipeError:
         raise
     except (PlateError, OSError) as error:
@@ -68,9 +68,9 @@ def main() -> int:
         print(f"warning: {warning}", flush=True)
     try:
         with rows, pool as workers:
-            for row in _results(workers, work):
+            for row in _run_all(workers, work):
                 rows.add({**row, "scenario": args.scenario})
-                print(_line(row), flush=True)
+                print(_row_text(row), flush=True)
     except BrokenPipeError:
         raise
     except (PlateError, OSError) as error:
@@ -81,11 +81,11 @@ def main() -> int:
         kept = f" {args.json} contains them; the same command does the rest." if args.json else ""
         print(f"stopped after {done} of {len(args.seeds)} runs.{kept}", file=sys.stderr)
         return 130
-    print(_conclusion([rows.by_seed[seed] for seed in args.seeds]))
+    print(_summary_text([rows.by_seed[seed] for seed in args.seeds]))
     return 0
 
 
-def _pool(args: argparse.Namespace) -> AbstractContextManager[Executor | None]:
+def _make_pool(args: argparse.Namespace) -> AbstractContextManager[Executor | None]:
     """Return the executor of the runs: a cluster or a pool of processes. None if all runs use this
     process."""
     if args.cluster:
@@ -93,15 +93,15 @@ def _pool(args: argparse.Namespace) -> AbstractContextManager[Executor | None]:
     return executor(args.workers) if args.workers > 1 else nullcontext()
 
 
-def _results(workers: Executor | None, work: list[tuple[Setup, Rig, bytes]]) -> Iterator[dict]:
+def _run_all(workers: Executor | None, work: list[tuple[Setup, Rig, bytes]]) -> Iterator[dict]:
     """Yield the row of each run when it is done."""
     if workers is None:
-        yield from (_run(*item) for item in work)
+        yield from (_run_loop(*item) for item in work)
     else:
-        yield from (row for _, row in parallel(workers, _run, work, _note))
+        yield from (row for _, row in parallel(workers, _run_loop, work, _show_progress))
 
 
-def _run(setup: Setup, rig: Rig, code: bytes) -> dict[str, object]:
+def _run_loop(setup: Setup, rig: Rig, code: bytes) -> dict[str, object]:
     """Run the loop and return its row. `code` is the content of the planner's file, because a
     worker on another computer cannot read this file. It is empty if the run uses the project's
     planner."""
@@ -113,7 +113,7 @@ def _run(setup: Setup, rig: Rig, code: bytes) -> dict[str, object]:
         return summary(replace(setup, own_planner=str(path)), rig)
 
 
-def _marks(
+def _result_metadata(
     scenario: Scenario, rig: Rig, code: bytes, settings: dict[str, str]
 ) -> dict[str, str | dict[str, str]]:
     """Return all facts on which the result of a run depends, except its seed. These facts are the
@@ -127,13 +127,13 @@ def _marks(
     return {"code": code_of_packages(), "settings": marks | settings, "machine": machine()}
 
 
-def _note(text: str) -> None:
+def _show_progress(text: str) -> None:
     """Show the progress on a terminal. The next text overwrites the same line."""
     if sys.stderr.isatty():
         print(f"\r{text}\x1b[K", end="\r", file=sys.stderr, flush=True)
 
 
-def _line(row: dict) -> str:
+def _row_text(row: dict) -> str:
     rms = "" if row["rms_error_m"] is None else f"  RMS {1e3 * row['rms_error_m']:.3f} mm"
     if row["turn_error_deg"] is not None:
         rms += f"  centre max {1e3 * row['max_error_m']:.3f} mm"
@@ -150,8 +150,8 @@ def _line(row: dict) -> str:
     )
 
 
-def _conclusion(rows: list[dict]) -> str:
-    all_runs = summed(rows)
+def _summary_text(rows: list[dict]) -> str:
+    all_runs = summarise(rows)
     text = (
         f"{rate_text(all_runs['good'], len(rows))} ended well, {all_runs['dropped']} parts dropped"
     )
@@ -170,14 +170,14 @@ def _conclusion(rows: list[dict]) -> str:
     return text
 
 
-def _pair(text: str) -> tuple[str, str]:
+def _parse_setting(text: str) -> tuple[str, str]:
     key, equals, value = text.partition("=")
     if not equals:
         raise PlateError(f"setting is {text!r}, allowed: key=value")
     return key, value
 
 
-def _seeds(text: str) -> range:
+def _parse_seeds(text: str) -> range:
     first, colon, end = text.partition(":")
     try:
         seeds = range(int(first), int(end) if colon else int(first) + 1)
@@ -191,7 +191,7 @@ def _seeds(text: str) -> range:
     return seeds
 
 
-def _arguments() -> argparse.Namespace:
+def _parse_arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument(
         "--scenario",
@@ -199,7 +199,10 @@ def _arguments() -> argparse.Namespace:
         help="name in config/scenarios, or .yaml file (default: sort_10)",
     )
     parser.add_argument(
-        "--seeds", type=_seeds, default=range(3), help="seeds A to B - 1 as A:B (default: 0:3)"
+        "--seeds",
+        type=_parse_seeds,
+        default=range(3),
+        help="seeds A to B - 1 as A:B (default: 0:3)",
     )
     parser.add_argument(
         "--set",

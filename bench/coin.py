@@ -51,9 +51,9 @@ def main() -> None:
     folder = parser.parse_args().out
     folder.mkdir(parents=True, exist_ok=True)
     rig, cycle = load_rig(), plate_motion()
-    track = carried(rig, cycle)
-    angle, radius = polar(track)
-    rate, drift = slopes(angle), slopes(radius)
+    track = simulate_coin(rig, cycle)
+    angle, radius = to_polar(track)
+    rate, drift = mean_speeds(angle), mean_speeds(radius)
     result: dict[str, Any] = {
         "share_of_limits": usage(rig, cycle).worst,
         "median_of_plate_rad_s": SPIN / 2,
@@ -73,7 +73,7 @@ def plate_motion() -> PlateCycle:
     return wave_cycle(FREQUENCY, np.array([0.0, 0.0, SPIN]))
 
 
-def carried(rig: Rig, cycle: PlateCycle) -> np.ndarray:
+def simulate_coin(rig: Rig, cycle: PlateCycle) -> np.ndarray:
     """Return the positions (k, 2) [m] of the coin at the starts of cycles, until it leaves the
     plate."""
     rig = replace(rig, parts=replace(rig.parts, radius_m=COIN_RADIUS))
@@ -85,12 +85,12 @@ def carried(rig: Rig, cycle: PlateCycle) -> np.ndarray:
     return np.array(track)
 
 
-def polar(track: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def to_polar(track: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the polar coordinates of positions (n, 2) [m]: angle [rad] and radius [m]."""
     return np.unwrap(np.arctan2(track[:, 1], track[:, 0])), np.hypot(track[:, 0], track[:, 1])
 
 
-def slopes(values: np.ndarray) -> np.ndarray:
+def mean_speeds(values: np.ndarray) -> np.ndarray:
     """Return the mean angular and radial speeds over intervals of `MEAN` seconds. The result omits
     the first interval."""
     return np.diff(values[MEAN * FREQUENCY :: MEAN * FREQUENCY]) / MEAN
@@ -112,7 +112,7 @@ def draw(track: np.ndarray, rate: np.ndarray, radius: np.ndarray, half: np.ndarr
     )  # fmt: skip
     path.add_collection(lines)
     figure.colorbar(lines, ax=path, label="time [min]", location="bottom", shrink=0.6, aspect=40)
-    angle, _ = polar(track)
+    angle, _ = to_polar(track)
     first = np.searchsorted(angle, 2 * np.pi - 0.3)
     for at in [*track[:first][:: round(SHOWN * FREQUENCY)], track[-1]]:
         path.add_patch(Circle(1e3 * at, 1e3 * COIN_RADIUS, fc="#ffffffb0", ec=INK, lw=1, zorder=3))

@@ -223,9 +223,9 @@ def test_all_stages_are_timed_although_cycles_begin_in_motion():
     from plate_bringup.loop import Setup
     from plate_bringup.loop import run as loop
     from stages.stages import FIRST, STAGES, stages_row
-    from tasks.runs import sorting
+    from tasks.runs import sorting_scenario
 
-    scenario, rig = sorting(2), load_rig()
+    scenario, rig = sorting_scenario(2), load_rig()
     moments = list(islice(loop(Setup(scenario, effort={"restarts": 2}), rig), FIRST + 3))
     assert not all(moment.answer.cycle.starts_at_rest for moment in moments)
     row = stages_row(rig, scenario, moments)

@@ -18,18 +18,18 @@ from board_host import (
     STROKE_M,
     WAIT_TICKS,
     Host,
-    attacked,
-    committed,
-    wave,
+    attack_board,
+    upload_while_playing,
+    wave_table,
 )
 from emulated_board import (
     INSTRUCTION_NS,
     NEEDS,
     RING_BYTES,
     EmulatedBoard,
-    built,
-    symbols,
-    unfollowed,
+    build_firmware,
+    read_symbols,
+    rig_without_following_check,
 )
 from tried_board import TriedBoard, assembled
 
@@ -54,7 +54,7 @@ emulated = pytest.mark.needs(*NEEDS)
 @pytest.fixture(name="watchful", scope="module")
 def _watchful(tmp_path_factory):
     """Of config/rig.yaml."""
-    elf = built(tmp_path_factory.mktemp("board"))
+    elf = build_firmware(tmp_path_factory.mktemp("board"))
     return elf.rename(elf.with_stem("watchful"))
 
 
@@ -62,7 +62,9 @@ def _watchful(tmp_path_factory):
 def _firmware(watchful):
     """Without watch over the following error: an emulated plate never moves. Few objects differ."""
     folder = watchful.parent
-    return built(folder, RIG=unfollowed(ROOT / "config" / "rig.yaml", folder))
+    return build_firmware(
+        folder, RIG=rig_without_following_check(ROOT / "config" / "rig.yaml", folder)
+    )
 
 
 def ready(board: EmulatedBoard) -> Host:
@@ -112,7 +114,7 @@ def test_limits_header_is_of_the_rig_that_is_named(tmp_path, monkeypatch, capsys
 
 @emulated
 def test_image_has_no_double_no_heap_and_no_streams(firmware):
-    names = symbols(firmware)
+    names = read_symbols(firmware)
     assert {"tick", "controller_tick", "table_at"} <= set(names)
     banned = re.compile(
         r"__aeabi_(?!u?l|mem|u?idiv)\w*d\w*|__\w+df\w*|_?malloc\w*|_?free\w*|_sbrk\w*|\w*printf\w*"
@@ -291,7 +293,7 @@ def test_a_tick_is_bounded_while_tables_small_and_large_come(firmware):
     with EmulatedBoard(firmware) as board:
         host = ready(board)
         for table, pieces in enumerate((48, 500)):
-            status, ticks = committed(host, pieces, 10 * table + 1)
+            status, ticks = upload_while_playing(host, pieces, 10 * table + 1)
             assert status is Status.DONE
             assert ticks.median < ticks.worst <= MOST
         assert_moved_within_limits(board.record())
@@ -310,12 +312,12 @@ def test_a_tick_is_bounded_with_drives_on_a_bus(tmp_path, rig, drives, most_m):
     Of an ODrive the mean of two setpoints is expected, 1 mm behind the last one at 1 m/s.
     """
     rig = ROOT / "config" / "rigs" / f"{rig}.yaml"
-    firmware = built(tmp_path, RIG=rig, CAN=ROOT / "test" / f"{drives}.c")
+    firmware = build_firmware(tmp_path, RIG=rig, CAN=ROOT / "test" / f"{drives}.c")
     with EmulatedBoard(firmware) as board:
         for _ in range(400):
             board.tick()
         host = ready(board)
-        status, ticks = committed(host, 500, 1)
+        status, ticks = upload_while_playing(host, 500, 1)
         assert status is Status.DONE
         assert 1000 < ticks.median < ticks.worst <= MOST
         told = host.telemetry[-100:]
@@ -327,7 +329,7 @@ def test_a_tick_is_bounded_with_drives_on_a_bus(tmp_path, rig, drives, most_m):
 
 @emulated
 def test_a_tick_is_bounded_where_a_table_takes_over_in_motion(firmware):
-    knots, middle = wave(500, 0.9), 250
+    knots, middle = wave_table(500, 0.9), 250
     splice = knots[middle].ticks
     rest = tuple(replace(knot, ticks=knot.ticks - splice) for knot in knots[middle:])
     with EmulatedBoard(firmware) as board:
@@ -356,7 +358,7 @@ def test_a_tick_is_bounded_whatever_comes(firmware):
         host = Host(board, pace=128)
         host.begin()
         host.enable()
-        attack, ticks = attacked(host, 1200, seed=48)  # one that has all kinds
+        attack, ticks = attack_board(host, 1200, seed=48)  # one that has all kinds
         assert ticks.worst <= MOST
         assert len(attack.kinds) == 7
         record = board.record()
@@ -376,11 +378,11 @@ def test_a_plate_that_does_not_follow_is_let_go(watchful, tmp_path):
     """Nothing moves in an emulator: as a jammed plate, held 2 mm from its setpoint."""
     with TriedBoard(watchful, tmp_path) as board:
         host = ready(board)
-        assert host.upload(1, wave(48, 0.2, 0.6)) is Status.DONE
+        assert host.upload(1, wave_table(48, 0.2, 0.6)) is Status.DONE
         host.until(lambda: host.now().state is State.PLAYING)
         host.until(lambda: host.now().state is State.READY)
         assert board.enabled()
-        assert host.upload(2, wave(48, 0.5, 0.6)) is Status.DONE
+        assert host.upload(2, wave_table(48, 0.5, 0.6)) is Status.DONE
         host.until(lambda: host.now().state is State.OFF)
         assert host.telemetry[-1].faults is Fault.FOLLOWING
         assert max(m.following_m for m in host.telemetry) > 0.003
@@ -399,7 +401,7 @@ def test_a_stop_takes_the_enable_pin_down(firmware, tmp_path):
             assert not board.enabled()
             host.enable()
             assert board.enabled()
-            host.upload(1, wave(48), 3)
+            host.upload(1, wave_table(48), 3)
             host.until(lambda host=host: host.now().state is State.PLAYING)
             assert host.ask(Stop(now)) is Status.DONE
             if now:
@@ -445,7 +447,7 @@ def test_a_stop_stays_over_reset_and_cable(firmware, tmp_path):
         assert board.memory("driving", 1) == b"\0"
         host.begin()
         assert host.ask(Enable(stop)) is Status.WRONG_STOP
-        assert host.upload(1, wave(48, 0.5)) is Status.WRONG_STATE
+        assert host.upload(1, wave_table(48, 0.5)) is Status.WRONG_STATE
         host.rest(100)
         told = host.now()
         assert (told.state, told.faults) == (State.OFF, Fault.NO_HOME)
@@ -505,7 +507,7 @@ class BoardPort:
 def test_the_driver_plays_on_the_board(firmware):
     """The driver's own transport, in the board's time."""
     rig = load_rig()
-    knots = wave(48)
+    knots = wave_table(48)
     q, qd, qdd = (
         np.array([getattr(k, name) for k in knots])
         for name in ("position", "velocity", "acceleration")

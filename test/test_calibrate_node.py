@@ -8,7 +8,7 @@ import itertools
 import numpy as np
 import pytest
 
-from harness.serial import opened
+from harness.serial import open_port
 from plate_core import PlateCycle, load_rig
 from plate_core.motion import motor_state
 
@@ -67,7 +67,7 @@ def test_what_calibrate_has_learned_is_used_from_the_next_configure_on(monkeypat
     monkeypatch.setattr(
         "plate_driver.node.make_transport",
         lambda name, context: SerialTransport(
-            lambda: opened(emulator), lambda: emulator.now, next(sessions)
+            lambda: open_port(emulator), lambda: emulator.now, next(sessions)
         ),
     )
     words = ["transport:=serial", "port:=simulated", "hold_cycles:=20"]

@@ -9,7 +9,7 @@ from plate_bringup.loop import Setup, with_settings, with_setup_camera
 from plate_core import load_rig
 from plate_core.rig import camera_place, camera_pose, to_image
 from plate_core.tasks import load_scenario
-from stages.cameras import BY_NAME, DISCS, KINDS, TYPED, drawn, row_of, scene
+from stages.cameras import BY_NAME, DISCS, KINDS, TYPED, draw_scene, row_of, scene
 from tasks.views import SCENARIOS, SCENES
 
 
@@ -87,8 +87,8 @@ def test_a_row_counts_what_is_found():
 
 
 def test_unknown_heights_are_in_the_image_alone():
-    one = drawn(BY_NAME["10 mm high, 0.43 m, not in the rig file"], 3)
-    known = drawn(BY_NAME["10 mm high, 0.43 m"], 3)
+    one = draw_scene(BY_NAME["10 mm high, 0.43 m, not in the rig file"], 3)
+    known = draw_scene(BY_NAME["10 mm high, 0.43 m"], 3)
     assert one.rig.parts.height_m == 0
     assert known.rig.parts.height_m == 0.01
     assert np.array_equal(one.image, known.image)

@@ -12,7 +12,7 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from cases.goals import storm
+from cases.goals import send_goals
 from graph.observer import CALL_AGAIN
 from graph.session import session
 from light_graph import LightOptions
@@ -39,7 +39,7 @@ def test_random_goals_are_all_answered_and_the_plate_rests(tmp_path, monkeypatch
         graph.observer.await_ready()
         check_the_command(graph)  # first: later the parts may be sorted already
         check_a_program(graph, monkeypatch)
-        result = storm(graph.observer, 20, np.random.default_rng(1))
+        result = send_goals(graph.observer, 20, np.random.default_rng(1))
         assert result["unanswered"] == 0, result
         assert result["wrong ones that began"] == 0, result
         assert result["plate rests"], result

@@ -21,13 +21,13 @@ pytest.importorskip("rclpy")
 
 import play
 from demo import arguments
-from graph.demo import LAST, clear, own_folder, rig_title, watch
+from graph.demo import LAST, clear_folder, make_run_folder, rig_title, watch_task
 from graph.demo import demo as run
 from graph.observer import Received, Record
 from graph.processes import Interrupted
 from PIL import Image
 from rclpy.serialization import serialize_message
-from record.film import develop
+from record.film import decode_record
 from short_task import short_task
 from std_msgs.msg import Header
 
@@ -123,7 +123,7 @@ def test_a_bag_that_is_no_folder_starts_no_page(tmp_path, monkeypatch, name):
     os.mkfifo("fifo")
     monkeypatch.setattr(sys, "argv", ["play.py", "--bag", name])
     with pytest.raises(PlateError, match=f"bag is '{name}', allowed: the folder of a recorded run"):
-        play.checked(play.arguments())
+        play.check_arguments(play.arguments())
 
 
 TOLD_WHEN_LOADED = """
@@ -253,10 +253,10 @@ def test_an_interrupt_while_the_nodes_stop_keeps_the_results(tmp_path, monkeypat
 
     monkeypatch.setattr(module, "running", running)
     monkeypatch.setattr(module, "recording", lambda plan, observer: nullcontext())
-    monkeypatch.setattr(module, "watch", lambda plan, observer, began: None)
+    monkeypatch.setattr(module, "watch_task", lambda plan, observer, began: None)
     monkeypatch.setattr(
         module,
-        "conclude",
+        "evaluate_run",
         lambda plan, graph, wall_s, problem, grips: concluded.append(problem) or 0,
     )
     monkeypatch.setattr(sys, "argv", ["demo", "--scenario", "sort_4", "--out", str(tmp_path)])
@@ -270,11 +270,11 @@ def test_what_an_interrupted_task_did_counts_to_the_last_that_is_known():
     parts = (Parts(header=Header(stamp=to_time(round(1e9 * t)))) for t in starts)
     record = Record(truth=[serialize_message(part) for part in parts])
     record.diagnostics["planner"] = [Received(0.0, 10_117_300_000, "", values={"time_s": "0.117"})]
-    film = develop(record, load_rig())
+    film = decode_record(record, load_rig())
     assert film.cycles == 3
     assert film.end == pytest.approx(0.352, abs=1e-3)
     record.status = TaskStatus(state=TaskStatus.DONE)
-    assert develop(record, load_rig()).cycles == 1
+    assert decode_record(record, load_rig()).cycles == 1
 
 
 @pytest.mark.parametrize(
@@ -289,18 +289,18 @@ def test_every_run_has_a_folder_of_its_own(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     LAST.mkdir(parents=True)  # as earlier versions made it
     (LAST / "result.json").write_text("{}")
-    first = own_folder("sort_4")
-    clear(first)
+    first = make_run_folder("sort_4")
+    clear_folder(first)
     assert LAST.resolve() == first.resolve()
     (earlier,) = tmp_path.glob("out/demo-*_earlier")
     assert (earlier / "result.json").exists()
     with ThreadPoolExecutor(8) as pool:  # at the same time
-        others = list(pool.map(own_folder, ["sort_4"] * 8))
+        others = list(pool.map(make_run_folder, ["sort_4"] * 8))
     assert len({first, *others}) == 9
     second = others[-1]
-    clear(second)
+    clear_folder(second)
     assert LAST.resolve() == second.resolve()
-    clear(tmp_path / "elsewhere")
+    clear_folder(tmp_path / "elsewhere")
     assert LAST.resolve() == second.resolve()
 
 
@@ -354,7 +354,7 @@ def test_a_failure_is_reported_before_the_nodes_end(monkeypatch, capsys):
         scenario=SimpleNamespace(time_limit_s=1.0, task=None),
         options=SimpleNamespace(lockstep=False),
     )
-    watch(plan, observer, 0.0)
+    watch_task(plan, observer, 0.0)
     assert why in told[0]
 
 
@@ -377,7 +377,7 @@ def test_a_frozen_planner_is_named_within_two_seconds(monkeypatch, capsys):
         scenario=SimpleNamespace(time_limit_s=60.0, task=None),
         options=SimpleNamespace(lockstep=False),
     )
-    watch(plan, observer, 0.0)
+    watch_task(plan, observer, 0.0)
     lines = capsys.readouterr().out.splitlines()
     first = next(k for k, line in enumerate(lines) if "no message from the planner" in line)
     assert lines[first] == f"  no message from the planner for 2 s: {reason}"

@@ -9,7 +9,7 @@ import pytest
 from cuts import cut
 from shaking import shaking
 
-from harness.serial import PlateCheck, opened
+from harness.serial import PlateCheck, open_port
 from plate_core import CycleError, PlateCycle, PlateError, load_rig
 from plate_core.driver_status import DriverReason, DriverState
 from plate_core.serial_protocol import State
@@ -54,7 +54,7 @@ class Driver:
         )
         self.emulator = Emulator(DeviceLimits.of_rig(RIG), self.seed, FaultSchedule(), self.see)
         serial = SerialTransport(
-            lambda: opened(self.emulator), self.time, self.seed, self.streams, limits=RIG.limits
+            lambda: open_port(self.emulator), self.time, self.seed, self.streams, limits=RIG.limits
         )
         serial.open()
         self.transport = TransportThread(serial, self.latch, self.defects.append)

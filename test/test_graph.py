@@ -24,7 +24,7 @@ from rcl_interfaces.srv import ListParameters
 from rclpy.client import Client
 from rclpy.serialization import deserialize_message
 from rclpy.task import Future
-from record.film import develop
+from record.film import decode_record
 from record.judge import check_limits
 from sensor_msgs.msg import Image
 from short_task import MIDDLE
@@ -131,7 +131,7 @@ def test_parts_are_sorted_and_the_method_changes_meanwhile(tmp_path):
     assert graph.processes.exit_codes == dict.fromkeys(NAMES, 0)
     assert record.states[-1].startswith("done")
     rig = load_rig()
-    assert develop(record, rig).dropped == 0
+    assert decode_record(record, rig).dropped == 0
     check = check_limits(record, rig)
     assert check.tables > 20
     assert check.faults == ()

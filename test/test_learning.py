@@ -8,15 +8,15 @@ import pytest
 from plate_core import PlateCycle, PlateError, load_rig
 from plate_driver.calibration import Calibration, Response, harmonics, save_response, saved_response
 from plate_driver.setpoints import prepare
-from stages.learning import Plate, error, hung, random_cycle
+from stages.learning import Plate, harmonics_error, random_cycle, rig_on_flexures
 
 RIG = load_rig()
-HUNG = hung(RIG)
+HUNG = rig_on_flexures(RIG)
 
 
 def steady_error(cycle: PlateCycle, command: PlateCycle) -> float:
     """Error of the harmonics of a cycle, once its command has been repeated for 2.4 s."""
-    return error(HUNG, cycle, command) / 100
+    return harmonics_error(HUNG, cycle, command) / 100
 
 
 @pytest.fixture(name="learned", scope="module")

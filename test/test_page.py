@@ -274,10 +274,10 @@ def test_a_browser_that_hangs_and_garbage_disturb_nobody(url):
 
 
 def test_a_flood_of_commands_ends_no_node_and_every_stop_is_answered(graph):
-    from cases.page_flood import Verdict, flooded
+    from cases.page_flood import Verdict, flood_page
 
     verdict = Verdict(minutes=0.03, sockets=3)
-    flooded(graph, verdict, seed=0)
+    flood_page(graph, verdict, seed=0)
     assert verdict.sent > 0
     assert verdict.stops > 0
     assert not verdict.ends

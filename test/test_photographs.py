@@ -112,12 +112,12 @@ def _folder(tmp_path, monkeypatch):
 
 
 def test_a_file_with_another_checksum_is_not_kept(folder, monkeypatch):
-    monkeypatch.setattr(fetch, "_read", lambda photograph: b"other")
+    monkeypatch.setattr(fetch, "_read_photograph", lambda photograph: b"other")
     wanted = photograph(sha256="0" * 64)
-    assert fetch.fetch(wanted).startswith("sha256 is d9298a10")
+    assert fetch.fetch_photograph(wanted).startswith("sha256 is d9298a10")
     assert not list(folder.iterdir())
     right = photograph(sha256=hashlib.sha256(b"other").hexdigest())
-    assert fetch.fetch(right) == ""
+    assert fetch.fetch_photograph(right) == ""
     assert fetch.is_there(right)
 
 
@@ -127,7 +127,7 @@ def test_without_a_network_missing_files_are_reported_and_the_rest_continues(
     def no_network(photograph):
         raise OSError("no\nnetwork")
 
-    monkeypatch.setattr(fetch, "_read", no_network)
+    monkeypatch.setattr(fetch, "_read_photograph", no_network)
     monkeypatch.setattr(fetch, "load_photographs", lambda: [photograph(), photograph()])
     monkeypatch.setattr("sys.argv", ["fetch"])
     assert fetch.main() == 0

@@ -28,7 +28,7 @@ from plate_planner.tasks import FeedReport
 from plate_sim import Grip, Simulation
 from plate_solver import EFFORT
 from tasks.feeding import BASE, run_case
-from tasks.shaking import conveyed, shaken
+from tasks.shaking import conveyed_distances, strongest_cycle
 
 PLACE = (0.1, 0.0, 0.0)
 FEW = {"restarts": 10}
@@ -195,12 +195,12 @@ def test_a_robot_may_not_stand_over_the_plate_for_longer_than_its_part_is_reserv
 @pytest.mark.parametrize("axis", [0, 1])
 def test_a_shake_conveys_parts_as_strongly_as_the_rig_allows(axis):
     rig, along = load_rig(), np.eye(3)[axis]
-    cycle = shaken(rig, along)
+    cycle = strongest_cycle(rig, along)
     assert usage(rig, cycle).overall == pytest.approx(1.0, abs=1e-6)
-    ways = conveyed(rig, cycle, axis)
+    ways = conveyed_distances(rig, cycle, axis)
     assert np.all(np.diff(ways) > 0)
     assert ways[0] > 1e-3
-    back = conveyed(rig, cycle.scaled(-1.0), axis)
+    back = conveyed_distances(rig, cycle.scaled(-1.0), axis)
     assert back == pytest.approx(-ways, abs=1e-4)
 
 

@@ -158,13 +158,13 @@ def test_rows_come_back_from_a_csv_file_as_they_were(tmp_path):
 @pytest.mark.parametrize("span", [0.02, 0.3, 0.9, 1.7, 3.2, 6.5, 14.0])
 @pytest.mark.parametrize("low", [-11.3, -0.05, 2.7])
 def test_every_log_axis_has_some_numbers_and_not_too_many(low, span):
-    from report.axis import log_ticks, numbers
+    from report.axis import log_ticks, tick_texts
 
     ticks = log_ticks(low, low + span)
     assert 3 <= len(ticks) <= 10
     assert np.all(np.diff(ticks) > 0)
     assert low <= np.log10(ticks[0]) < np.log10(ticks[-1]) <= low + span
-    assert len(set(numbers(ticks))) == len(ticks)
+    assert len(set(tick_texts(ticks))) == len(ticks)
 
 
 def front_of(better, *places):

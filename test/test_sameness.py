@@ -15,7 +15,7 @@ import yaml
 from short_task import short_task
 
 import plate_native
-from tasks.sameness import compared, trace
+from tasks.sameness import compare_traces, run_trace
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -73,7 +73,7 @@ def test_no_kernel_is_free_to_round_otherwise():
 def test_a_seed_gives_the_same_run_in_another_process_order_and_number_of_threads(tmp_path):
     path = tmp_path / "tiny.yaml"
     path.write_text(yaml.safe_dump(short_task(0.005, 20)), encoding="utf-8")
-    here = [trace(str(path), seed) for seed in (3, 4)]
+    here = [run_trace(str(path), seed) for seed in (3, 4)]
     threads = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"), "2")
     done = subprocess.run(
         [sys.executable, "-c", ELSEWHERE, str(path)],
@@ -88,6 +88,6 @@ def test_a_seed_gives_the_same_run_in_another_process_order_and_number_of_thread
 def test_the_piece_that_differs_first_is_named():
     same = ["a b c d e", "f g h i j"]
     other = ["a b c d e", "f g x i y", "more"]
-    assert compared([(same, same), (same, other)]) == {
+    assert compare_traces([(same, same), (same, other)]) == {
         "runs": 2, "same": 1, "piece": "vision", "cycle": 1,
     }  # fmt: skip

@@ -13,7 +13,7 @@ from plate_core.motion import motor_state
 from plate_core.serial_protocol import Fault, State
 from plate_driver.transports import LATE_IN_MOTION, SerialTransport
 from plate_sim.device import DeviceLimits, Emulator, FaultSchedule, LineFaults
-from stages.device import shaking
+from stages.device import shaking_table
 
 TASK = {
     "description": "One part goes to its side.",
@@ -105,7 +105,7 @@ def test_a_host_that_was_held_up_finds_the_plate_at_rest_and_waits_for_a_person(
     run(0.2)
     operator.check(host[0])
     run(1.5)
-    transport.send(shaking(48, 5e-4), 50)
+    transport.send(shaking_table(48, 5e-4), 50)
     run(0.5)
     assert emulator.state is State.PLAYING
     run(0.4, polls=False)

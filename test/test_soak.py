@@ -5,8 +5,8 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from cases.soak import slope, summed_up, text
-from graph.series import STAGES, Series, Task, stages_ms, work_again
+from cases.soak import fit_slope, summarise, summary_text
+from graph.series import STAGES, Series, Task, run_series, stages_ms
 from light_graph import LightOptions
 
 NODES = ("simulator", "detector", "planner", "solver", "driver")
@@ -26,24 +26,24 @@ def test_a_slope_has_the_interval_that_its_name_promises():
     at = np.linspace(0, 3600, 60)
     inside = 0
     for _ in range(400):
-        found, wide = slope(at, 3.0 * at / 3600 + rng.normal(size=60))
+        found, wide = fit_slope(at, 3.0 * at / 3600 + rng.normal(size=60))
         inside += abs(found - 3.0) < wide
     assert 0.91 < inside / 400 < 0.98
-    assert np.isnan(slope(at[:2], at[:2])[0])
+    assert np.isnan(fit_slope(at[:2], at[:2])[0])
 
 
 def test_growth_and_missed_cycles_are_reported():
     series = Series([task(k, growth=12.0) for k in range(20)], dict.fromkeys(NODES, 0.05))
-    result = summed_up(series)
+    result = summarise(series)
     assert result["memory"][3]["mb_per_hour"] == pytest.approx(12.0)
     assert result["missed_share"] == 0
     assert result["latency_ms"] == pytest.approx(34.5, abs=0.51)
     assert abs(result["latency_ms_per_hour"]) < result["latency_interval"]
     series.tasks.append(task(20, counts=(100, 3, 1), ended="stuck"))
-    result = summed_up(series)
+    result = summarise(series)
     assert result["missed_share"] == pytest.approx(4 / 2100)
     assert (result["done"], result["ended"]) == (20, ["stuck"])
-    assert "20 of 21 tasks done" in text(result)
+    assert "20 of 21 tasks done" in summary_text(result)
 
 
 def test_stages_add_up_to_the_whole():
@@ -54,7 +54,7 @@ def test_stages_add_up_to_the_whole():
 
 def test_two_tasks_in_the_same_graph(tmp_path):
     options = LightOptions(scenario="sort_4", autostart=False)
-    many = work_again(options, tmp_path, lambda s: len(s.tasks) == 2, max_s=1.5)
+    many = run_series(options, tmp_path, lambda s: len(s.tasks) == 2, max_s=1.5)
     *_, series = many
     first, second = series.tasks
     for one in series.tasks:

@@ -6,7 +6,7 @@ import pytest
 from harness import Cache
 from maps import gamma, harmonics, separation, stick, suspension
 from maps.grid import Grid, StabilityMap, crossing
-from maps.stability import MAPS, grids, nearness
+from maps.stability import MAPS, border_sentence, grids
 from plate_core import PlateCycle, load_rig
 from plate_solver.library import Library
 
@@ -27,7 +27,7 @@ def test_two_parts_are_parted_down_to_the_spacing_of_centres(rig, grid):
     library = Library.around(rig.plate.half, *grid)
     predicted = separation.min_separation(rig, grid[0] * grid[1])
     distance = predicted * np.geomspace(0.5, 2, 7)
-    force = [separation.guaranteed(rig, library, d, 8) for d in distance]
+    force = [separation.guaranteed_force(rig, library, d, 8) for d in distance]
     observed = crossing(distance.tolist(), force, separation.LEVEL)
     assert observed == pytest.approx(predicted, rel=0.25)
     assert force[0] == pytest.approx(force[2] / np.sqrt(2.52), rel=0.3)  # falls with the distance
@@ -38,7 +38,7 @@ def test_harmonics_serve_as_many_parts_as_they_have_numbers(rig, number):
     most = harmonics.max_parts(number)
     # For one part too many 100 are enough: they solve half of the requests for `most` parts.
     cases = [(most - 1, 250), (most, 250), (most + 1, 100)]
-    share = [harmonics.solved(rig, m, number, 8, restarts) for m, restarts in cases]
+    share = [harmonics.solved_fraction(rig, m, number, 8, restarts) for m, restarts in cases]
     assert share[0] >= 0.6
     assert share[1] > 0
     assert share[2] == 0
@@ -46,7 +46,7 @@ def test_harmonics_serve_as_many_parts_as_they_have_numbers(rig, number):
 
 def test_one_harmonic_serves_nobody(rig):
     assert harmonics.max_parts(1) == 0
-    assert harmonics.solved(rig, 1, 1, 3, restarts=10) == 0
+    assert harmonics.solved_fraction(rig, 1, 1, 3, restarts=10) == 0
 
 
 @pytest.mark.parametrize("force", [0.0, 0.1, 0.2])
@@ -70,22 +70,23 @@ def test_the_overtone_gives_the_requested_force():
 
 @pytest.mark.parametrize("parts", [1, 3])
 def test_averages_hold_above_the_predicted_shaking_ratio(rig, parts):
-    cases = gamma.motions(rig, parts, 4)
+    cases = gamma.make_motions(rig, parts, 4)
     predicted = gamma.min_gamma(rig, cases)
     ratio = predicted * np.array([0.25, 0.5, 1, 2])
     error = [
-        float(np.median([gamma.error(rig, c.scaled(r), p) / f for c, p, f in cases])) for r in ratio
+        float(np.median([gamma.simulate_force_error(rig, c.scaled(r), p) / f for c, p, f in cases]))
+        for r in ratio
     ]
     assert 0.5 * predicted < crossing(ratio.tolist(), error, gamma.LEVEL) < 1.25 * predicted
     cycle, position, _ = cases[0]
-    first = gamma.first_order(rig, cycle, position) / 1000
-    at_1000 = gamma.error(rig, cycle.scaled(1000), position)
+    first = gamma.predict_force_error(rig, cycle, position) / 1000
+    at_1000 = gamma.simulate_force_error(rig, cycle.scaled(1000), position)
     assert at_1000 == pytest.approx(first, rel=0.05)
 
 
 @pytest.mark.parametrize(("method", "parts"), [("sinusoids", 2), ("rotations", 6)])
 def test_a_plate_that_hangs_stiffer_than_predicted_does_nearly_as_commanded(rig, method, parts):
-    cycle = suspension.motions(rig, method, parts, 1)[0]
+    cycle = suspension.make_motions(rig, method, parts, 1)[0]
     predicted = suspension.min_frequency(rig, [cycle])
     stiffness = predicted * np.geomspace(0.7, 1.4, 4)
     error = [suspension.realised_error(rig, cycle, hz) for hz in stiffness]
@@ -109,9 +110,9 @@ def test_nearness_is_the_ratio_of_borders():
     one = MAPS["stick"]
     z = [[0.0], [2 * one.level], [2 * one.level]]
     grid = Grid("", [1.0], [1.0, 1.0001, 2.0], z, [0.5, 1.5], [1.25, 1.25])
-    assert "differ by 25 %" in nearness(one, [grid])
+    assert "differ by 25 %" in border_sentence(one, [grid])
     grid = Grid("", [1.0], [1.0, 2.0], [[0.0], [0.0]], [0.5, 1.5], [1.25, 1.25])
-    assert nearness(one, [grid]).startswith("No border")
+    assert border_sentence(one, [grid]).startswith("No border")
 
 
 def test_a_map_is_kept_and_not_measured_again(tmp_path):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from cuts import cut
 
-from harness.serial import PlateCheck, opened
+from harness.serial import PlateCheck, open_port
 from plate_core import CycleError, PlateCycle, load_rig
 from plate_core.serial_protocol import State
 from plate_driver.setpoints import MotorTable
@@ -35,7 +35,7 @@ class Bench:
         self.travel: list[float] = []
         self.emulator = Emulator(DeviceLimits.of_rig(RIG), 2, FaultSchedule(trouble), self.see)
         self.transport = SerialTransport(
-            lambda: opened(self.emulator), lambda: self.emulator.now, 1, streams=True
+            lambda: open_port(self.emulator), lambda: self.emulator.now, 1, streams=True
         )
         self.transport.open()
         self.enable()

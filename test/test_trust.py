@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 from plate_core import load_rig
-from stages.trust import PROJECT, RIDES, creep_rows, neglected
+from stages.trust import PROJECT, RIDES, creep_rows, neglected_effects
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = (ROOT / "docs/guide/trust.md").read_text(encoding="utf-8")
@@ -22,7 +22,7 @@ def test_every_test_that_the_page_names_is_there():
 
 def test_the_estimates_on_the_page_are_those_of_the_rig():
     columns = ("effect", "formula", "assumed", "size")
-    for row in neglected(load_rig()):
+    for row in neglected_effects(load_rig()):
         cells = r"\s*\|\s*".join(re.escape(row[key]) for key in columns)
         assert re.search(cells, PAGE), row
 

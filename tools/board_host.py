@@ -1,8 +1,8 @@
 """A test host for the emulated board, written on top of `plate_core.serial_protocol`.
 
 `Host` sends commands and tables over an emulated serial line of limited baud rate. The function
-`committed` measures the length of the board's ticks with a valid table, and `attacked` with hostile
-packets.
+`upload_while_playing` measures the length of the board's ticks with a valid table, and
+`attack_board` with hostile packets.
 """
 
 from __future__ import annotations
@@ -56,8 +56,8 @@ WAIT_TICKS = 12_000
 repeated."""
 
 FEW_PIECES = 24
-"""Minimum number of polynomial pieces that can represent the motion of `wave`. With fewer pieces,
-`committed` uses a tiny amplitude."""
+"""Minimum number of polynomial pieces that can represent the motion of `wave_table`. With fewer
+pieces, `upload_while_playing` uses a tiny amplitude."""
 
 PLAYED_TICKS = 300
 """Number of ticks after the start of a new table in which the tick lengths are measured."""
@@ -224,7 +224,7 @@ class Host:
         return Ticks(median_ticks(record, before), round(worst), *seen)
 
 
-def wave(
+def wave_table(
     pieces: int, fraction: float = 0.98, period_s: float = 1.2, jitter: float = 0.0,
     rng: np.random.Generator | None = None,
 ) -> tuple[Knot, ...]:  # fmt: skip
@@ -263,16 +263,16 @@ def wave(
     )
 
 
-def committed(host: Host, pieces: int, table: int) -> tuple[Status, Ticks]:
+def upload_while_playing(host: Host, pieces: int, table: int) -> tuple[Status, Ticks]:
     """Upload a second table of `pieces` pieces while a table plays, and let it play for
     `PLAYED_TICKS`. Return the status of the table's Commit, and the tick lengths during this
     time."""
     if host.now().state is State.READY:
-        host.upload(table, wave(48, 0.9), 8)
+        host.upload(table, wave_table(48, 0.9), 8)
         host.until(lambda: host.now().state is State.PLAYING)
     before, first = host.board.record(), len(host.telemetry)
     size = 0.9 if pieces >= FEW_PIECES else 0.002
-    status = host.upload(table + 1, wave(pieces, size), 1)
+    status = host.upload(table + 1, wave_table(pieces, size), 1)
     if status is Status.DONE:
         host.until(lambda: host.now().table == table + 1)
         host.rest(PLAYED_TICKS)
@@ -321,7 +321,7 @@ class Attack:
 
     def mutated(self) -> Iterator[bytes]:
         """Yield the frames of a table, with a random byte changed in about half of them."""
-        for framed in self.host.framed(self.another(), wave(24)):
+        for framed in self.host.framed(self.another(), wave_table(24)):
             packet = bytearray(unframe(framed[:-1]))
             if self.rng.random() < 0.5:
                 packet[int(self.rng.integers(3, len(packet)))] = int(self.rng.integers(256))
@@ -332,7 +332,7 @@ class Attack:
         """Yield the frames of a table whose motion just keeps or slightly exceeds the limits."""
         pieces = int(self.rng.choice([30, 48, 60, 96, 150, 300, 511]))
         fraction = float(self.rng.choice([0.99, 1.0, 1.0015, 1.0019, 1.003]))
-        knots = wave(pieces, fraction, jitter=0.3, rng=self.rng)
+        knots = wave_table(pieces, fraction, jitter=0.3, rng=self.rng)
         yield from self.host.framed(self.another(), knots)
         yield self.host.numbered(Commit(self.table, int(self.rng.integers(1, 8))))
 
@@ -346,7 +346,7 @@ class Attack:
     def streams(self) -> Iterator[bytes]:
         """Yield the frames of a stream near the limits. The stream has more knots than the board
         can store, and a Commit in the middle."""
-        table, knots = self.another(), wave(200, 1.0015)
+        table, knots = self.another(), wave_table(200, 1.0015)
         yield self.host.numbered(Begin(table, 0, 0))
         for first in range(0, 200, 4):
             message = Knots(table, first, knots[first : first + 4])
@@ -375,7 +375,7 @@ class Attack:
             yield self.host.numbered(Stop(int(self.rng.integers(2))))
 
 
-def attacked(host: Host, packets: int, seed: int) -> tuple[Attack, Ticks]:
+def attack_board(host: Host, packets: int, seed: int) -> tuple[Attack, Ticks]:
     """Send at least `packets` hostile packets to a board. Between batches, make the board play a
     valid table if it is at rest. Return the attack, and the tick lengths during the attack."""
     attack = Attack(np.random.default_rng(seed), host)
@@ -385,7 +385,7 @@ def attacked(host: Host, packets: int, seed: int) -> tuple[Attack, Ticks]:
             host.begin()
             host.enable()
         if host.now().state is State.READY:
-            host.upload(attack.another(), wave(48, 1.0), 8)
+            host.upload(attack.another(), wave_table(48, 1.0), 8)
         host.send(attack.batch())
         host.sent_all()
     return attack, host.ticks_since(before, first)

@@ -56,7 +56,7 @@ NEEDS = ("arm-none-eabi-gcc", "qemu-system-arm")
 """Required programs, by their names in tools/needs.py."""
 
 
-def built(out: Path, **options: str | Path) -> Path:
+def build_firmware(out: Path, **options: str | Path) -> Path:
     """Build the firmware into a folder, with these Makefile variables. Return the path of
     plate.elf."""
     values = [f"{name}={value}" for name, value in options.items()] + [f"PYTHON={sys.executable}"]
@@ -67,7 +67,7 @@ def built(out: Path, **options: str | Path) -> Path:
     return out / "plate.elf"
 
 
-def unfollowed(rig: Path, folder: Path) -> Path:
+def rig_without_following_check(rig: Path, folder: Path) -> Path:
     """Write a rig file without supervision of the following error, because the emulated board has
     no plate. Return the path of the file."""
     facts = yaml.safe_load(rig.read_text(encoding="utf-8"))
@@ -77,7 +77,7 @@ def unfollowed(rig: Path, folder: Path) -> Path:
     return path
 
 
-def symbols(elf: Path) -> dict[str, int]:
+def read_symbols(elf: Path) -> dict[str, int]:
     """Return the addresses of all symbols in a linked program, by name."""
     listed = subprocess.run(
         ["arm-none-eabi-nm", str(elf)], capture_output=True, text=True, check=True
@@ -116,7 +116,7 @@ class EmulatedBoard:
     """
 
     def __init__(self, elf: Path, idle: str = "waits", more: Sequence[str] = ()) -> None:
-        self.names = symbols(elf)
+        self.names = read_symbols(elf)
         self._elf, self._idle, self._more = elf, self.names[idle], more
 
     def __enter__(self) -> Self:
@@ -132,7 +132,7 @@ class EmulatedBoard:
             self._machine = subprocess.Popen(command, pass_fds=(line.fileno(), gdb.fileno()))
         self._line.setblocking(False)
         self._debugger = Debugger(debugger)
-        self._rest(0)
+        self._run_until_idle(0)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -150,7 +150,7 @@ class EmulatedBoard:
         found: np.record = np.frombuffer(self.memory("record", RECORD.itemsize), RECORD)[0]
         return found
 
-    def _rest(self, word: int) -> None:
+    def _run_until_idle(self, word: int) -> None:
         """Run until the board is idle and reads the given word (0 or 1) of the array `idle`."""
         self._word = word
         self._debugger.go_to_read(self._idle + 4 * word)
@@ -159,8 +159,8 @@ class EmulatedBoard:
         """Simulate one tick in which the board receives `data`, at most `free_bytes` bytes. Return
         the bytes that the board has sent."""
         if data:
-            self._come(data)
-        self._rest(1 - self._word)
+            self._receive(data)
+        self._run_until_idle(1 - self._word)
         sent = b""
         with contextlib.suppress(BlockingIOError):
             while some := self._line.recv(65_536):
@@ -169,11 +169,11 @@ class EmulatedBoard:
 
     def free_bytes(self) -> int:
         """Return the free space in the board's receive ring [bytes]."""
-        received, read = self._counts()
+        received, read = self._byte_counts()
         return RING_BYTES - (received - read) % 2**32
 
-    def _come(self, data: bytes) -> None:
-        ring, (received, _) = self.names["received"], self._counts()
+    def _receive(self, data: bytes) -> None:
+        ring, (received, _) = self.names["received"], self._byte_counts()
         place = received % RING_BYTES
         first = data[: RING_BYTES - place]
         self._debugger.write(ring + 8 + place, first)
@@ -181,7 +181,7 @@ class EmulatedBoard:
             self._debugger.write(ring + 8, data[len(first) :])
         self._debugger.write(ring, struct.pack("<I", (received + len(data)) % 2**32))
 
-    def _counts(self) -> tuple[int, int]:
+    def _byte_counts(self) -> tuple[int, int]:
         """Return the number of bytes that the board has received, and the number of bytes that it
         has read."""
         return struct.unpack("<2I", self.memory("received", 8))
@@ -214,7 +214,7 @@ class Debugger:
     def run(self, order: bytes) -> None:
         """Send an order that runs the machine, and wait until it stops."""
         self._send(order)
-        answer = self._answer()
+        answer = self._read_reply()
         if answer[:3] not in (b"T05", b"S05"):
             raise RuntimeError(f"debugger: the processor has stopped: {answer!r}")
 
@@ -242,11 +242,11 @@ class Debugger:
     def ask(self, order: bytes) -> bytes:
         """Send an order and return its answer."""
         self._send(order)
-        while (answer := self._answer())[:1] == b"T":
+        while (answer := self._read_reply())[:1] == b"T":
             pass  # ignore stop reports, which some QEMU versions send without a request
         return answer
 
-    def _answer(self) -> bytes:
+    def _read_reply(self) -> bytes:
         while b"#" not in self._held[:-2]:
             try:
                 data = self._line.recv(4096)

@@ -45,7 +45,7 @@ COMMENT = re.compile(r"(?:^\s*(?:\*|#)|//|/\*)[*/!]*\s?(.*)")
 def texts(path: Path) -> Iterator[tuple[int, str]]:
     """Yield the line number and the text of each docstring, comment and literal of a file."""
     if path.suffix == ".md":
-        yield from _markdown(path.read_text(encoding="utf-8"))
+        yield from _paragraphs(path.read_text(encoding="utf-8"))
     elif path.suffix == ".py":
         source = path.read_bytes()
         for token in tokenize.tokenize(io.BytesIO(source).readline):
@@ -61,7 +61,7 @@ def texts(path: Path) -> Iterator[tuple[int, str]]:
                 yield number, comment[1]
 
 
-def _markdown(text: str) -> Iterator[tuple[int, str]]:
+def _paragraphs(text: str) -> Iterator[tuple[int, str]]:
     """Yield the paragraphs of a page without code, tables and images."""
     text = re.sub(r"```.*?```", lambda m: "\n" * m.group().count("\n"), text, flags=re.S)
     for number, line in enumerate(text.splitlines(), 1):
@@ -98,13 +98,13 @@ def check(names: list[str]) -> int:
     valid Python, also counts as a finding.
     """
     if not names:
-        names = [name for name in _listed() if _is_checked(name)]
+        names = [name for name in _repository_files() if _is_checked(name)]
     count = 0
     for name in names:
         try:
             found = findings(Path(name))
         except (OSError, SyntaxError, ValueError, RecursionError, tokenize.TokenError) as error:
-            print(f"{name}: not readable as {_kind(name)}: {error}")
+            print(f"{name}: not readable as {_expected_content(name)}: {error}")
             count += 1
             continue
         for line, advice, text in found:
@@ -113,14 +113,14 @@ def check(names: list[str]) -> int:
     return 1 if count else 0
 
 
-def _listed() -> list[str]:
+def _repository_files() -> list[str]:
     """Return the names of the repository's files. Links and deleted files are omitted."""
     listed = subprocess.run(["git", "ls-files", "-z"], capture_output=True, text=True, check=True)
     names = [name for name in listed.stdout.split("\0") if name]
     return [name for name in names if Path(name).is_file() and not Path(name).is_symlink()]
 
 
-def _kind(name: str) -> str:
+def _expected_content(name: str) -> str:
     """Return the expected content of a file, for a message."""
     return "Python" if name.endswith(".py") else "UTF-8 text"
 

@@ -13,7 +13,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from graph.browser import browsed
+from graph.browser import page_session
 from graph.session import Session
 from PIL import Image
 
@@ -31,7 +31,7 @@ time until friction is measured [s]. `MEASURED_S` is also the maximum time until
 machine shows no alarm."""
 
 
-def shoot(page: Any, graph: Session, out: Path) -> None:
+def take_pictures(page: Any, graph: Session, out: Path) -> None:
     """Save a picture of the page after each step of the guide."""
 
     def save(name: str) -> None:
@@ -66,10 +66,10 @@ def main() -> int:
     out = parser.parse_args().out
     out.mkdir(parents=True, exist_ok=True)
     try:
-        with browsed(RunOptions(scenario="sort_6", seed=1, view=True)) as (graph, page):
+        with page_session(RunOptions(scenario="sort_6", seed=1, view=True)) as (graph, page):
             graph.observer.await_ready()
             graph.observer.set_parameter("simulator", "friction_spread", 0.1)
-            shoot(page, graph, out)
+            take_pictures(page, graph, out)
     except PlateError as error:
         parser.error(str(error))
     return 0

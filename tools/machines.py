@@ -101,11 +101,11 @@ def machines() -> Iterator[tuple[int, int]]:
     """
     with machine() as eyes, machine() as hands:
         ends = f"{CARD} netns {eyes} type veth peer {CARD} netns {hands}"
-        do("ip", "link", "add", *ends.split())
+        run_command("ip", "link", "add", *ends.split())
         for pid, address in ((eyes, EYES), (hands, HANDS)):
-            do(*enter(pid), "ip", "addr", "add", f"{address}/24", "dev", CARD)
+            run_command(*namespace_command(pid), "ip", "addr", "add", f"{address}/24", "dev", CARD)
             for card in (CARD, "lo"):
-                do(*enter(pid), "ip", "link", "set", card, "up")
+                run_command(*namespace_command(pid), "ip", "link", "set", card, "up")
         for pid in (eyes, hands):
             await_card(pid)
         yield eyes, hands
@@ -120,13 +120,13 @@ def await_card(pid: int) -> None:
         If the network card is not up within `CARD_S`.
     """
     end = time.monotonic() + CARD_S
-    while " UP " not in do(*enter(pid), "ip", "-brief", "link", "show", CARD):
+    while " UP " not in run_command(*namespace_command(pid), "ip", "-brief", "link", "show", CARD):
         if time.monotonic() > end:
             raise PlateError(f"the cable is not up after {CARD_S:g} s")
         time.sleep(POLL_S)
 
 
-def do(*command: str) -> str:
+def run_command(*command: str) -> str:
     """Run a command, and return its output. Raise PlateError if the command fails."""
     try:
         return subprocess.run(command, check=True, capture_output=True, text=True).stdout
@@ -136,7 +136,7 @@ def do(*command: str) -> str:
         raise PlateError(f"{' '.join(command)}: {reason.strip()}{needs}") from None
 
 
-def enter(pid: int) -> list[str]:
+def namespace_command(pid: int) -> list[str]:
     """Return the prefix of a command (`nsenter ...`) that runs the command in the network and mount
     namespaces of a process. Each such process represents a machine."""
     return ["nsenter", f"--target={pid}", "--net", "--mount", "--wd"]
@@ -152,10 +152,10 @@ def reach_environment(reach: str, other: str) -> dict[str, str]:
     return reach_it
 
 
-def intrude(machine: int) -> list[str]:
+def run_intruder(machine: int) -> list[str]:
     """Return the names of the nodes that an intruder on a machine finds. The result also contains
     "answered" if a node replied to a stop. The intruder tries the reaches `named` and `subnet`."""
-    command = [*enter(machine), sys.executable, "-c", INTRUDER, str(ALONE_S)]
+    command = [*namespace_command(machine), sys.executable, "-c", INTRUDER, str(ALONE_S)]
     tries = []
     for reach in ("named", "subnet"):
         own = os.environ | reach_environment(reach, HANDS)
@@ -175,7 +175,7 @@ def run(reach: str, scenario: str, eyes: int, logs: Path) -> dict[str, Any]:
     graph = options.nodes(load_graph())
     seeing = [node for node in graph if node.name in SEEING and reach != "nobody"]
     others = [node for node in graph if node.name not in SEEING]
-    prefix = {node.name: enter(eyes) for node in seeing}
+    prefix = {node.name: namespace_command(eyes) for node in seeing}
     away = Processes(seeing, options, logs, DOMAIN, prefix, reach_environment(reach, HANDS))
     here = Processes(others, options, logs, DOMAIN, None, reach_environment(reach, EYES))
     with away, here, Observer(DOMAIN, pictures=False) as observer:
@@ -183,16 +183,16 @@ def run(reach: str, scenario: str, eyes: int, logs: Path) -> dict[str, Any]:
         found = [node.name for node in others]
         observer.await_nodes(found, START_S)
         if reach == "nobody":
-            begun = crossed()
+            begun = transferred_bytes()
             observer.until(lambda: False, ALONE_S)
-            still = crossed() - begun
-            return {"found": intrude(eyes), "crossed_kB": round(1e-3 * still)}
+            still = transferred_bytes() - begun
+            return {"found": run_intruder(eyes), "crossed_kB": round(1e-3 * still)}
         observer.await_nodes([node.name for node in graph], START_S)
         observer.await_answers(START_S)
         with Hops(images=False) as hops:
             observer.until(lambda: False, DISCOVERY_S)
             observer.start(load_scenario(scenario))
-            begun, start = crossed(), time.time()
+            begun, start = transferred_bytes(), time.time()
             observer.until(lambda: record.ended, TASK_S)
             end = time.time()
             latency = 1e3 * np.diff(rows(hops, start, end)[:, [0, -1]], axis=1)
@@ -200,20 +200,20 @@ def run(reach: str, scenario: str, eyes: int, logs: Path) -> dict[str, Any]:
             "done": record.done, "ended": record.states[-1], "images": len(latency),
             "latency_ms": round(float(np.median(latency)), 1),
             "latency_p99_ms": round(float(np.percentile(latency, 99)), 1),
-            "crossed_kB_per_s": round(1e-3 * (crossed() - begun) / (end - start), 1),
+            "crossed_kB_per_s": round(1e-3 * (transferred_bytes() - begun) / (end - start), 1),
             "held_cycles": int(record.last("simulator", "held cycles", "0")),
             "late_cycles": int(record.last("simulator", "late cycles", "0")),
         }  # fmt: skip
 
 
-def crossed() -> int:
+def transferred_bytes() -> int:
     """Return the number of bytes transferred over the cable in both directions."""
     lines = Path("/proc/self/net/dev").read_text(encoding="ascii").splitlines()
     fields = next(line for line in lines if line.strip().startswith(CARD)).split(":")[1].split()
     return int(fields[0]) + int(fields[8])
 
 
-def inside(args: argparse.Namespace) -> int:
+def run_driver_side(args: argparse.Namespace) -> int:
     """Run the part of the program on the machine with the driver. Return the exit code."""
     with tempfile.TemporaryDirectory() as logs:
         result = {"reach": args.reach, **run(args.reach, args.scenario, args.inside, Path(logs))}
@@ -234,10 +234,10 @@ def main() -> int:
     parser.add_argument("--inside", type=int, help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.inside:
-        return inside(args)
+        return run_driver_side(args)
     try:
         with signals_raise(), machines() as (eyes, hands):
-            command = [*enter(hands), sys.executable, *sys.argv, "--inside", str(eyes)]
+            command = [*namespace_command(hands), sys.executable, *sys.argv, "--inside", str(eyes)]
             reach = ros_environment(DOMAIN) | reach_environment(args.reach, EYES)
             return subprocess.run(command, env=os.environ | reach, check=False).returncode
     except PlateError as error:

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from graph.browser import browsed
+from graph.browser import page_session
 from PIL import Image
 from record.webp import save_film
 
@@ -81,7 +81,7 @@ class Film:
         return part["x"], part["y"]
 
 
-def shoot(film: Film) -> None:
+def record_film(film: Film) -> None:
     """Drag the parts, then draw a path and let a part follow this path. Take screenshots until
     `END_S`."""
     film.page.get_by_label("Drift").check()
@@ -124,9 +124,9 @@ def main() -> int:
     )
     out = parser.parse_args().out
     try:
-        with browsed(RunOptions(scenario="play", seed=1, view=True)) as (_, page):
+        with page_session(RunOptions(scenario="play", seed=1, view=True)) as (_, page):
             film = Film(page)
-            shoot(film)
+            record_film(film)
     except PlateError as error:
         parser.error(str(error))
     out.mkdir(parents=True, exist_ok=True)

@@ -33,7 +33,7 @@ def main() -> int:
     from plate_core import PlateError
 
     try:
-        options = checked(args)
+        options = check_arguments(args)
     except PlateError as error:
         print(f"play: {error}", file=sys.stderr)
         return 2
@@ -88,7 +88,7 @@ def arguments() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def checked(args: argparse.Namespace):
+def check_arguments(args: argparse.Namespace):
     """Check all arguments before anything is started, and return the options of the run.
 
     Raises
@@ -106,7 +106,7 @@ def checked(args: argparse.Namespace):
     known = load_rig(rig)
 
     import numpy as np
-    from graph.demo import absolute, check_camera, check_run, print_unmeasured
+    from graph.demo import absolute_path, check_camera, check_run, print_unmeasured
 
     from plate_bringup import RunOptions
     from plate_solver import METHODS
@@ -122,8 +122,8 @@ def checked(args: argparse.Namespace):
     if real:
         print_unmeasured("play", known, args.port)
     return RunOptions(
-        scenario=absolute(args.scenario), method=METHODS[args.method], seed=args.seed,
-        rig_file=absolute(rig), simulated_time=args.simulated_time, view=True,
+        scenario=absolute_path(args.scenario), method=METHODS[args.method], seed=args.seed,
+        rig_file=absolute_path(rig), simulated_time=args.simulated_time, view=True,
         transport="serial" if real else "sim", port=args.port, camera=args.camera,
     )  # fmt: skip
 

@@ -37,12 +37,12 @@ the left. Angles are counter-clockwise from x. The pages [tasks](guide/tasks.md)
 
 def page() -> str:
     """Return the text of the page."""
-    parts = [HEAD, "\n## Scenario files: config/scenarios\n", *_sections(tasks.SECTIONS)]
-    parts += ["\n## Rig files: config/rig.yaml\n", *_sections(rig.SECTIONS)]
+    parts = [HEAD, "\n## Scenario files: config/scenarios\n", *_section_lines(tasks.SECTIONS)]
+    parts += ["\n## Rig files: config/rig.yaml\n", *_section_lines(rig.SECTIONS)]
     return "".join(parts)
 
 
-def _sections(sections: Iterable[Section]) -> Iterable[str]:
+def _section_lines(sections: Iterable[Section]) -> Iterable[str]:
     """Yield the sections of a file. Keys that several kinds of task share are in the section
     `task`."""
     sections = tuple(sections)
@@ -56,13 +56,15 @@ def _sections(sections: Iterable[Section]) -> Iterable[str]:
         yield f"\n### `{section.where}`\n\n{section.about}\n"
         for key in section.keys:
             if not (KIND.fullmatch(section.where) and key in shared):
-                yield f"\n- `{key.name}` ({_what(key)}{_default(key)}): {key.meaning}\n"
+                details = _key_type_text(key) + _default_text(key)
+                yield f"\n- `{key.name}` ({details}): {key.meaning}\n"
         if section.where == "task":
             for key, names in shared.items():
-                yield f"\n- `{key.name}` ({_what(key)}; for {', '.join(names)}): {key.meaning}\n"
+                details = f"{_key_type_text(key)}; for {', '.join(names)}"
+                yield f"\n- `{key.name}` ({details}): {key.meaning}\n"
 
 
-def _what(key: Key) -> str:
+def _key_type_text(key: Key) -> str:
     """Return the type, the range and the unit of a key as text."""
     unit = "" if key.unit in ("", "-") else f" {key.unit}"
     match key.kind:
@@ -82,7 +84,7 @@ def _what(key: Key) -> str:
     return key.kind.description + (unit and f" [{key.unit}]")
 
 
-def _default(key: Key) -> str:
+def _default_text(key: Key) -> str:
     """Return the default of a key, or the condition under which it is required."""
     if key.otherwise.startswith(("or ", "required ", "not required ")):
         return f"; {key.otherwise}"

@@ -57,8 +57,8 @@ def run_all(names: Iterable[str], quick: bool, out: Path, when_idle: bool = Fals
     for number, name in enumerate(names, 1):
         left = sum(expected[number - 1 :])
         print(
-            f"[{number}/{len(names)}, {clock(time.perf_counter() - began)}"
-            + (f", about {clock(left)} left" if left else "")
+            f"[{number}/{len(names)}, {minutes_text(time.perf_counter() - began)}"
+            + (f", about {minutes_text(left)} left" if left else "")
             + f"] {name:12s} ",
             end="", flush=True,
         )  # fmt: skip
@@ -125,7 +125,7 @@ def last_seconds(out: Path, name: str, quick: bool) -> float:
     return float(there["seconds"]) if there["quick"] == quick else 0.0
 
 
-def clock(seconds: float) -> str:
+def minutes_text(seconds: float) -> str:
     """Return a time as minutes and seconds."""
     return f"{seconds // 60:.0f}:{seconds % 60:02.0f}"
 

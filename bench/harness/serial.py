@@ -57,18 +57,18 @@ class Port:
     def __init__(self, emulator: Emulator) -> None:
         self._emulator = emulator
 
-    def _check(self) -> None:
+    def _check_connected(self) -> None:
         if not self._emulator.connected:
             raise OSError("the device is disconnected")
 
     def read(self, size: int) -> bytes:
         """Return the bytes that have arrived."""
-        self._check()
+        self._check_connected()
         return self._emulator.to_host.arrived(self._emulator.now)
 
     def write(self, data: bytes) -> int:
         """Send bytes. Return their number."""
-        self._check()
+        self._check_connected()
         self._emulator.to_device.sent(data, self._emulator.now)
         return len(data)
 
@@ -76,7 +76,7 @@ class Port:
         """Do nothing, because there is nothing to release."""
 
 
-def opened(emulator: Emulator) -> Port:
+def open_port(emulator: Emulator) -> Port:
     """Return the driver's port. Raise PlateError if the device is disconnected."""
     if not emulator.connected:
         raise PlateError("port is 'device', which is disconnected, allowed: a connected device")
@@ -136,7 +136,7 @@ class SerialLine:
         self.plate_check = PlateCheck(rig)
         self.emulator = Emulator(DeviceLimits.of_rig(rig), seed, schedule, self.plate_check.update)
         self.transport = SerialTransport(
-            lambda: opened(self.emulator), lambda: self.emulator.now, seed=seed
+            lambda: open_port(self.emulator), lambda: self.emulator.now, seed=seed
         )
         self.operator = Operator(self.transport)
         self.now, self.began = 0.0, 0.0
@@ -200,7 +200,7 @@ class SerialLine:
         now = self.emulator.now
         self._ticks += 1
         while self._waiting and self._waiting[0][0] <= now:
-            self._upload(self._waiting.pop(0)[1])
+            self._upload_table(self._waiting.pop(0)[1])
         if self._ticks % POLL_TICKS == 0:
             self.transport.poll()
             self.operator.check(now)
@@ -210,7 +210,7 @@ class SerialLine:
             self._event = ""
         return segments
 
-    def _upload(self, table: MotorTable) -> None:
+    def _upload_table(self, table: MotorTable) -> None:
         # ignore a refused table, because driver_status reports the reason
         with suppress(CycleError):
             self.transport.send(table, HOLD_CYCLES if table.tail is None else 1)
@@ -298,12 +298,14 @@ class PlateCheck:
             float(np.max(np.abs(qd))) / limits.speed,
             max(float(np.max(np.abs(qdd))), corners) / limits.accel,
             float(np.max(np.abs(motor_forces(self.rig, motion)))) / limits.force,
-            _jump(times, q, qd, qdd),
+            _max_hermite_deviation(times, q, qd, qdd),
             travel,
         )
 
 
-def _jump(times: np.ndarray, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> float:
+def _max_hermite_deviation(
+    times: np.ndarray, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray
+) -> float:
     """Return the maximum deviation of a step between two setpoints from Hermite's rule [m].
 
     Hermite's rule computes the step dq of a position over a time dt from the speeds v0, v1 and the

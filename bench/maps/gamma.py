@@ -38,7 +38,7 @@ LEVEL = 0.3
 """Level of the map's border: error of the force, relative to the request."""
 
 
-def motions(rig: Rig, parts: int, count: int) -> list[tuple[PlateCycle, np.ndarray, float]]:
+def make_motions(rig: Rig, parts: int, count: int) -> list[tuple[PlateCycle, np.ndarray, float]]:
     """For each random request, return a motion, the parts' positions (M, 2) [m], and its size [mu m
     g].
 
@@ -57,7 +57,7 @@ def motions(rig: Rig, parts: int, count: int) -> list[tuple[PlateCycle, np.ndarr
     return found
 
 
-def error(rig: Rig, cycle: PlateCycle, position: np.ndarray) -> float:
+def simulate_force_error(rig: Rig, cycle: PlateCycle, position: np.ndarray) -> float:
     """Return the root mean square difference between the simulated and the averaged force [mu m g].
     The parts are at rest at first."""
     still, friction = np.zeros_like(position), rig.friction
@@ -69,8 +69,8 @@ def error(rig: Rig, cycle: PlateCycle, position: np.ndarray) -> float:
     return float(np.sqrt(np.mean((got - average_force(cycle, position)) ** 2)))
 
 
-def first_order(rig: Rig, cycle: PlateCycle, position: np.ndarray) -> float:
-    """Return the theoretical value of `error`, for a large shaking ratio Gamma.
+def predict_force_error(rig: Rig, cycle: PlateCycle, position: np.ndarray) -> float:
+    """Return the theoretical value of `simulate_force_error`, for a large shaking ratio Gamma.
 
     A held part does not move; only friction moves a free part. Let w(t) be the slip velocity of
     a held part, and n(t) the direction of w(t). Until t, a free part gains the velocity
@@ -95,9 +95,10 @@ def first_order(rig: Rig, cycle: PlateCycle, position: np.ndarray) -> float:
 
 def min_gamma(rig: Rig, cases: list[tuple[PlateCycle, np.ndarray, float]]) -> float:
     """Return the shaking ratio above which the error of the averaged forces is below `LEVEL`. This
-    ratio is the median over the cases, by the theory of `first_order`."""
+    ratio is the median over the cases, by the theory of `predict_force_error`."""
     return (
-        float(np.median([first_order(rig, c, p) / requested for c, p, requested in cases])) / LEVEL
+        float(np.median([predict_force_error(rig, c, p) / requested for c, p, requested in cases]))
+        / LEVEL
     )
 
 
@@ -105,11 +106,16 @@ def measure(quick: bool) -> list[Grid]:
     """Measure all cells."""
     rig = load_rig()
     parts, gammas = (PARTS[1:4:2], GAMMAS[::3]) if quick else (PARTS, GAMMAS)
-    cases = [motions(rig, m, 3 if quick else REQUESTS) for m in parts]
+    cases = [make_motions(rig, m, 3 if quick else REQUESTS) for m in parts]
     z = [
         [
             float(
-                np.median([error(rig, c.scaled(gamma), p) / requested for c, p, requested in mine])
+                np.median(
+                    [
+                        simulate_force_error(rig, c.scaled(gamma), p) / requested
+                        for c, p, requested in mine
+                    ]
+                )
             )
             for mine in cases
         ]

@@ -35,7 +35,9 @@ def max_parts(harmonics: int) -> int:
     return 3 * harmonics - 1 if harmonics > 1 else 0
 
 
-def solved(rig: Rig, parts: int, harmonics: int, requests: int, restarts: int = RESTARTS) -> float:
+def solved_fraction(
+    rig: Rig, parts: int, harmonics: int, requests: int, restarts: int = RESTARTS
+) -> float:
     """Return the fraction of random requests that are solved, checked by the exact averaged
     force."""
     solver = SinusoidSolver(rig, harmonics=harmonics, restarts=restarts)
@@ -54,7 +56,7 @@ def measure(quick: bool) -> list[Grid]:
     rig = load_rig()
     numbers, counts = (HARMONICS[:2], PARTS[:7]) if quick else (HARMONICS, PARTS)
     requests, restarts = (3, 30) if quick else (REQUESTS, RESTARTS)
-    z = [[solved(rig, m, n, requests, restarts) for n in numbers] for m in counts]
+    z = [[solved_fraction(rig, m, n, requests, restarts) for n in numbers] for m in counts]
     return [grid(numbers, counts, z, numbers, [max_parts(n) + 0.5 for n in numbers])]
 
 

@@ -45,7 +45,7 @@ def min_separation(rig: Rig, centres: float) -> float:
     return 4 * LEVEL * spacing(rig, int(centres))
 
 
-def guaranteed(rig: Rig, library: Library, separation: float, pairs: int) -> float:
+def guaranteed_force(rig: Rig, library: Library, separation: float, pairs: int) -> float:
     """Return the guaranteed force of two parts [mu m g]: the median of `manipulability` over random
     positions."""
     rng = np.random.default_rng(SEED)
@@ -67,7 +67,7 @@ def measure(quick: bool) -> list[Grid]:
     centres = [columns * rows for columns, rows in spread]
     libraries = [Library.around(rig.plate.half, *sides) for sides in spread]
     z = [
-        [guaranteed(rig, library, d, 4 if quick else PAIRS) for library in libraries]
+        [guaranteed_force(rig, library, d, 4 if quick else PAIRS) for library in libraries]
         for d in separations
     ]
     line = np.geomspace(centres[0], centres[-1], 20).round()

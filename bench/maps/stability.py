@@ -22,7 +22,7 @@ def measure(quick: bool) -> Result:
     for one in MAPS.values():
         found = grids(one, quick, Cache.of(f"maps.{one.key}"))
         samples += [{"map": one.key, **row} for grid in found for row in grid.rows]
-        sentences.append(f"{one.title}. {nearness(one, found)}")
+        sentences.append(f"{one.title}. {border_sentence(one, found)}")
     return Result([], sentences, samples)
 
 
@@ -48,7 +48,7 @@ def borders(one: StabilityMap, grid: Grid) -> tuple[list[float], list[float]]:
     return observed, predicted.tolist()
 
 
-def nearness(one: StabilityMap, found: list[Grid]) -> str:
+def border_sentence(one: StabilityMap, found: list[Grid]) -> str:
     """Return a sentence on the difference between the measured and the predicted borders."""
     places = [pair for grid in found for pair in zip(*borders(one, grid), strict=True)]
     pairs = [pair for pair in places if np.all(np.isfinite(pair))]

@@ -8,7 +8,7 @@ from maps.grid import Grid, StabilityMap, grid
 from plate_core import PlateCycle, Rig, load_rig
 from plate_sim import PlateState, realise
 from plate_solver import Goal, RotationSolver, SinusoidSolver
-from stages.learning import DAMPING, hung
+from stages.learning import DAMPING, rig_on_flexures
 from stages.scenes import random_positions
 
 METHODS = {"sinusoids": SinusoidSolver, "rotations": RotationSolver}
@@ -30,7 +30,7 @@ LEVEL = 0.5
 a requested force remains."""
 
 
-def motions(rig: Rig, method: str, parts: int, count: int = REQUESTS) -> list[PlateCycle]:
+def make_motions(rig: Rig, method: str, parts: int, count: int = REQUESTS) -> list[PlateCycle]:
     """Return the plate's motions that a solver finds for random requests."""
     rng = np.random.default_rng([SEED, parts])
     solver = METHODS[method](rig, iterations=24, restarts=1)
@@ -47,7 +47,7 @@ def motions(rig: Rig, method: str, parts: int, count: int = REQUESTS) -> list[Pl
     return cycles
 
 
-def lengths(rig: Rig) -> np.ndarray:
+def twist_lengths(rig: Rig) -> np.ndarray:
     """Return the lengths (3,) that convert a twist (vx, vy, omega) to speeds: 1, 1 and the distance
     of a corner from the centre [m]."""
     return np.array([1.0, 1.0, float(np.hypot(*rig.plate.half))])
@@ -56,13 +56,13 @@ def lengths(rig: Rig) -> np.ndarray:
 def realised_error(rig: Rig, cycle: PlateCycle, frequency: float) -> float:
     """Return the simulated relative error of the plate's velocity: root mean square of the error /
     root mean square of the commanded velocity."""
-    real, state = hung(rig, frequency), PlateState.at_rest()
+    real, state = rig_on_flexures(rig, frequency), PlateState.at_rest()
     settling = SETTLED / (DAMPING * 2 * np.pi * frequency)
     for _ in range(1 + int(np.ceil(settling / cycle.period))):
         motion, state = realise(real, state, cycle)
     t = np.arange(SAMPLES) * cycle.period / SAMPLES
-    requested = cycle.twist(t) * lengths(rig)
-    missed = motion.twist(t) * lengths(rig) - requested
+    requested = cycle.twist(t) * twist_lengths(rig)
+    missed = motion.twist(t) * twist_lengths(rig) - requested
     return float(np.linalg.norm(missed) / np.linalg.norm(requested))
 
 
@@ -79,7 +79,7 @@ def predicted_error(rig: Rig, cycle: PlateCycle, frequency: float | np.ndarray) 
     motors are assumed equal.
     """
     t = np.arange(SAMPLES) * cycle.period / SAMPLES
-    spectrum = np.fft.rfft(cycle.twist(t) * lengths(rig), axis=0)
+    spectrum = np.fft.rfft(cycle.twist(t) * twist_lengths(rig), axis=0)
     power = np.sum(np.abs(spectrum) ** 2, axis=1)
     r = np.arange(len(power)) / cycle.period / np.atleast_1d(frequency)[:, None]
     missed = np.abs(1 / (1 - r**2 + 2j * DAMPING * r) - 1) ** 2
@@ -100,7 +100,7 @@ def measure(quick: bool) -> list[Grid]:
     parts = PARTS[1::2] if quick else PARTS
     frequencies = FREQUENCIES_HZ[::3] if quick else FREQUENCIES_HZ
     for method in METHODS:
-        cycles = [motions(rig, method, m, 1 if quick else REQUESTS) for m in parts]
+        cycles = [make_motions(rig, method, m, 1 if quick else REQUESTS) for m in parts]
         z = [
             [float(np.median([realised_error(rig, c, hz) for c in mine])) for mine in cycles]
             for hz in frequencies

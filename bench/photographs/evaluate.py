@@ -151,7 +151,7 @@ def evaluate(photographs: Iterable[Photograph]) -> tuple[list[dict[str, Any]], l
     return rows, refused
 
 
-def of_half(half: str) -> tuple[list[Photograph], int]:
+def load_half(half: str) -> tuple[list[Photograph], int]:
     """Return the photographs of a half whose files exist, and the number of missing files."""
     selected = [p for p in load_photographs() if p.half == half]
     there = [p for p in selected if is_there(p)]
@@ -168,7 +168,7 @@ def main() -> int:
         help="evaluate the photographs that were not used for tuning, and print only totals",
     )
     half = HALVES[parser.parse_args().held_out]
-    there, missing = of_half(half)
+    there, missing = load_half(half)
     if missing:
         print(f"{missing} of {missing + len(there)} photographs are missing; first run {MISSING}")
     rows, refused = evaluate(there)

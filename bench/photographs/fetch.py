@@ -32,7 +32,7 @@ def main() -> int:
     photographs = load_photographs()
     there = 0
     for photograph in photographs:
-        problem = fetch(photograph)
+        problem = fetch_photograph(photograph)
         if problem:
             print(f"missing: {photograph.name}: {problem}", file=sys.stderr)
         there += not problem
@@ -40,13 +40,13 @@ def main() -> int:
     return 0
 
 
-def fetch(photograph: Photograph) -> str:
+def fetch_photograph(photograph: Photograph) -> str:
     """Download one file if it is missing. Return an error text, empty if there was no error."""
     path = photograph.file
     if is_there(photograph):
         return ""
     try:
-        content = _read(photograph)
+        content = _read_photograph(photograph)
     except (OSError, URLError) as problem:
         return " ".join(str(problem).split()) or type(problem).__name__
     digest = hashlib.sha256(content).hexdigest()
@@ -65,7 +65,7 @@ def is_there(photograph: Photograph) -> bool:
     return path.exists() and hashlib.sha256(path.read_bytes()).hexdigest() == photograph.sha256
 
 
-def _read(photograph: Photograph) -> bytes:
+def _read_photograph(photograph: Photograph) -> bytes:
     """Return the content of a photograph's file, from an installed package or from the network."""
     source = photograph.source
     if "package" in source:

@@ -80,7 +80,7 @@ def watershed(image: np.ndarray) -> np.ndarray:
     labels = segmentation.watershed(-depth, seeds, mask=mask > 0)
     props = measure.regionprops(labels)
     y, x = np.array([p.centroid for p in props]).reshape(-1, 2).T
-    found = _findings(x, y, np.array([p.area for p in props], float), image)
+    found = _to_findings(x, y, np.array([p.area for p in props], float), image)
     angle = {(p.centroid[1], p.centroid[0]): np.degrees(p.orientation) + 90 for p in props}
     found["angle_deg"] = [angle[x, y] for x, y in zip(found["x_px"], found["y_px"], strict=True)]
     return found
@@ -99,7 +99,7 @@ def _far_from_background(image: np.ndarray) -> np.ndarray:
     return np.asarray(cv2.drawContours(mask, contours, -1, 1, cv2.FILLED))
 
 
-def _findings(x: np.ndarray, y: np.ndarray, area: np.ndarray, image: np.ndarray) -> np.ndarray:
+def _to_findings(x: np.ndarray, y: np.ndarray, area: np.ndarray, image: np.ndarray) -> np.ndarray:
     """Return patches (n,) FINDING from centres [px] and areas [px2]. Too small and too large
     patches are omitted."""
     found = np.zeros(len(area), FINDING)

@@ -105,10 +105,10 @@ class Photograph:
 def load_photographs() -> list[Photograph]:
     """Read the list of photographs."""
     data = yaml.safe_load(LIST.read_text(encoding="utf-8"))
-    return [_photograph(name, entry) for name, entry in data.items()]
+    return [_read_entry(name, entry) for name, entry in data.items()]
 
 
-def _photograph(name: str, entry: dict[str, Any]) -> Photograph:
+def _read_entry(name: str, entry: dict[str, Any]) -> Photograph:
     rows = [
         (*row[:3], row[3] if len(row) > 3 else np.nan, kind["symmetry"], label, touching)
         for label, kind in entry["parts"].items()

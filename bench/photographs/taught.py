@@ -40,9 +40,9 @@ def teach_examples(
     Returns
     -------
     finder, shown, refused
-        `finder` is the taught detector, a function from an image to (m,) FINDING. `shown` (n,) bool
-        is True for the parts that were used as examples. `refused` contains the refused examples
-        and the reasons.
+        `find_taught` is the taught detector, a function from an image to (m,) FINDING. `shown` (n,)
+        bool is True for the parts that were used as examples. `refused` contains the refused
+        examples and the reasons.
     """
     calibration = calibrate_by_scale(SCALE)
     bare = model_background(image)
@@ -57,7 +57,7 @@ def teach_examples(
         apart = {f"{label}_{letter}": [i] for letter, i in zip("vwxyz", those, strict=False)}
         for lessons in (together, apart):
             for name, indices in lessons.items():
-                examples = [Example(image, _box(parts[i])) for i in indices]
+                examples = [Example(image, _example_box(parts[i])) for i in indices]
                 try:
                     types |= teach({name: examples}, calibration, bare)
                 except PlateError as problem:
@@ -68,17 +68,17 @@ def teach_examples(
             if label in types:
                 break
 
-    def finder(picture: np.ndarray) -> np.ndarray:
+    def find_taught(picture: np.ndarray) -> np.ndarray:
         if not types:
             return np.zeros(0, FINDING)
         seen = find_parts(picture, types, scale=SCALE)
         seen = seen[~np.isin(seen["label"], NAMELESS)]
         return as_findings(seen, [class_of[label] for label in seen["label"]])
 
-    return finder, shown, refused
+    return find_taught, shown, refused
 
 
-def _box(part: np.ndarray) -> tuple[float, float, float, float]:
+def _example_box(part: np.ndarray) -> tuple[float, float, float, float]:
     """Return the box x0, y0, x1, y1 that contains the centre of an example [px]."""
     reach = 0.5 * float(part["radius_px"])
     x, y = float(part["x_px"]), float(part["y_px"])

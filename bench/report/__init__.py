@@ -44,7 +44,7 @@ class Entry(NamedTuple):
     sources: tuple[str, ...]
 
 
-def of_table(
+def table_entry(
     draw: Callable[[list[Row]], Drawn], key: str, measurement: str = "", name: str = ""
 ) -> Entry:
     """Return the entry of a chart whose rows are one table of a measurement. By default, the
@@ -54,19 +54,19 @@ def of_table(
 
 
 CHARTS: tuple[Entry, ...] = (
-    of_table(force_map, "force_map"),
+    table_entry(force_map, "force_map"),
     Entry("solver", solver, solver_rows, ("solver",)),
-    of_table(options, "options"),
+    table_entry(options, "options"),
     Entry("sim", sim, sim_rows, ("sim", "bodies")),
-    of_table(model, "model"),
-    of_table(vision, "vision"),
-    of_table(tracking, "tracking"),
-    of_table(cameras, "cameras", "free_running"),
-    of_table(drives, "drives"),
-    of_table(rigs, "rigs"),
+    table_entry(model, "model"),
+    table_entry(vision, "vision"),
+    table_entry(tracking, "tracking"),
+    table_entry(cameras, "cameras", "free_running"),
+    table_entry(drives, "drives"),
+    table_entry(rigs, "rigs"),
     Entry("cost", cost, cost_rows, ("stages", "sim")),
-    of_table(learning, "learning"),
-    of_table(feeding, "feeding"),
+    table_entry(learning, "learning"),
+    table_entry(feeding, "feeding"),
     *(
         Entry(f"stability_{key}", partial(chart_of, one=m), partial(rows_of, one=m), ("stability",))
         for key, m in MAPS.items()

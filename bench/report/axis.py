@@ -88,7 +88,7 @@ class Axis:
             found["type"] = "log"
             ticks = ticks or log_ticks(*ends)
         if ticks:
-            found |= {"tickmode": "array", "tickvals": list(ticks), "ticktext": numbers(ticks)}
+            found |= {"tickmode": "array", "tickvals": list(ticks), "ticktext": tick_texts(ticks)}
         return found
 
 
@@ -110,7 +110,7 @@ def log_ticks(low: float, high: float) -> list[float]:
     return [step * k for k in range(ceil(first / step), floor(last / step) + 1)]
 
 
-def numbers(ticks: Iterable[float]) -> list[str]:
+def tick_texts(ticks: Iterable[float]) -> list[str]:
     """Return the texts for numbers on an axis. Very large and very small numbers become powers of
     ten."""
     ticks = list(ticks)
@@ -124,7 +124,7 @@ def numbers(ticks: Iterable[float]) -> list[str]:
     ]
 
 
-def edges(middles: Sequence[float], log: bool) -> list[float]:
+def cell_edges(middles: Sequence[float], log: bool) -> list[float]:
     """Return the edges of neighbouring cells, computed from their centres. At least two cells are
     needed."""
     at = np.log10(middles) if log else np.asarray(middles, float)

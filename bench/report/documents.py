@@ -14,7 +14,7 @@ import pandas as pd
 
 from harness import ROOT
 from report.chart import Data
-from report.page import cells, common_commit, measured
+from report.page import cell_texts, common_commit, measured
 
 DOCUMENTS = ("README.md", "docs/graph.md", "docs/guide/rig.md", "docs/guide/trust.md")
 
@@ -32,27 +32,27 @@ def fill_documents(data: Data, facts: Data, root: Path = ROOT) -> None:
     """Write the tables of the available measurements into the documents below a folder."""
     commit = common_commit(facts)
 
-    def filled(block: re.Match[str]) -> str:
+    def replace_block(block: re.Match[str]) -> str:
         before, name, key, after = block.groups()
         if name not in data:
             return block[0]
-        return before + text(name, data[name], key, facts, commit) + after
+        return before + block_text(name, data[name], key, facts, commit) + after
 
     for name in DOCUMENTS:
         path = root / name
         old = path.read_text(encoding="utf-8")
-        new = BLOCK.sub(filled, old)
+        new = BLOCK.sub(replace_block, old)
         if new != old:
             path.write_text(new, encoding="utf-8")
 
 
-def text(name: str, item: Mapping[str, Any], key: str, facts: Data, commit: str) -> str:
+def block_text(name: str, item: Mapping[str, Any], key: str, facts: Data, commit: str) -> str:
     """Return the text of a table, or of the sentences."""
     if key == "summary":
         return "".join(f"- {line}\n" for line in item["summary"])
     one = next(each for each in item["tables"] if each["key"] == key)
     frame = pd.DataFrame(one["rows"], columns=list(one["columns"])).rename(columns=one["columns"])
-    lines = cells(frame).to_markdown(index=False, disable_numparse=True)
+    lines = cell_texts(frame).to_markdown(index=False, disable_numparse=True)
     how = f"`make bench ARGS={name}` repeats the measurement"
     note = f"{one['note']} {how}{measured(facts.get(name), commit)}."
     return f"{lines}\n\n*{note.strip()}*\n"

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from report.axis import Axis
 from report.chart import Drawn
-from report.panels import BASELINE, PROJECT, SECOND, Panels, Row, Style, by
+from report.panels import BASELINE, PROJECT, SECOND, Panels, Row, Style, group_rows
 
 STYLES = {
     "ours": Style("this project, part by part", PROJECT, "o"),
@@ -29,7 +29,7 @@ ROBOT_S, GOAL = 2.0, 2.0
 def feeding(rows: list[Row]) -> Drawn:
     """Return the chart of parts per minute against accuracy, and of the robot's waiting time
     against the varied value."""
-    panels, cases = Panels(), [r | {"case": case(r)} for r in rows]
+    panels, cases = Panels(), [r | {"case": case_text(r)} for r in rows]
     speed = panels.add(
         "Speed and accuracy, robot cycle of 2 s", Axis("parts a minute"),
         Axis("pose error at the grip, 95th percentile [mm]", log=True),
@@ -46,7 +46,7 @@ def feeding(rows: list[Row]) -> Drawn:
         panel.kinds(mine, "method", key, "waiting", LINES, note=note)
         panel.rule(f"goal: {GOAL:g} %", y=GOAL)
     small = [{**r, "kind": "discs in a window of 100 mm"} for r in rows if r["window_mm"]]
-    kinds = by([*(r for r in rows if r["changed"] == "kind"), *small], "kind")
+    kinds = group_rows([*(r for r in rows if r["changed"] == "kind"), *small], "kind")
     rates = "; ".join(
         f"{kind} " + ", ".join(f"{r['parts_per_min']:.1f}" for r in these)
         for kind, these in kinds.items()
@@ -60,7 +60,7 @@ def feeding(rows: list[Row]) -> Drawn:
     )
 
 
-def case(row: Row) -> str:
+def case_text(row: Row) -> str:
     """Return a text that describes the case of a row."""
     window = f", window of {row['window_mm']:g} mm" if row["window_mm"] else ""
     return (

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from report.axis import Axis
 from report.chart import Drawn, column
-from report.panels import BASELINE, LIMIT, PROJECT, SECOND, THIRD, Panels, Row, Style, by
+from report.panels import BASELINE, LIMIT, PROJECT, SECOND, THIRD, Panels, Row, Style, group_rows
 
 MIN_ERROR = 1e-11
 """Minimum drawn error [mu mg]. Smaller errors are rounding errors, and are drawn at this value."""
@@ -19,7 +19,7 @@ COLOURS = (BASELINE, SECOND, THIRD, "#8a6d00", LIMIT)
 
 def force_map(rows: list[Row]) -> Drawn:
     """Return the chart of time and error of every method for the averaged force."""
-    panels, groups = Panels(), by(rows, "case")
+    panels, groups = Panels(), group_rows(rows, "case")
     for case, title, name in (
         ("many", "Many motions in one call, N = 2", "forces"),
         ("one", "One cycle, 1 part", "average_force"),

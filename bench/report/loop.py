@@ -5,7 +5,7 @@ from __future__ import annotations
 from harness import shown
 from report.axis import Axis
 from report.chart import Drawn, column, parts
-from report.panels import FAINT, LIMIT, PROJECT, SECOND, Panels, Row, Style, by
+from report.panels import FAINT, LIMIT, PROJECT, SECOND, Panels, Row, Style, group_rows
 from report.solver import METHODS
 from tasks.free_running import ALLOWED_MM
 
@@ -19,7 +19,7 @@ ENDED = "{succeeded} ended well"
 def tracking(rows: list[Row]) -> Drawn:
     """Return the chart of tracking error against speed. It also shows the maximum speed and its
     theoretical bound, by number of parts."""
-    counts, groups = sorted(by(rows, "parts")), by(rows, "method")
+    counts, groups = sorted(group_rows(rows, "parts")), group_rows(rows, "method")
     styles = {
         count: Style(parts(count), colour, "o", "-")
         for count, colour in zip(counts, COUNT_COLOURS, strict=False)
@@ -31,7 +31,7 @@ def tracking(rows: list[Row]) -> Drawn:
             Axis("tracking error, RMS [mm]", log=True),
         )  # fmt: skip
         panel.kinds(mine, "parts", "speed_mm_s", "rms_mm", styles, hollow=is_lost)
-        for bound in by(mine, "bound_mm_s"):
+        for bound in group_rows(mine, "bound_mm_s"):
             panel.rule("bound aT/16", x=bound)
     last = panels.add(
         "Maximum speed", Axis("parts", ticks=tuple(counts)),
@@ -90,10 +90,15 @@ def cameras(rows: list[Row]) -> Drawn:
             Axis("tracking error, RMS [mm]", log=True),
         )  # fmt: skip
         panel.points(
-            mine, "x", "rms_mm", Style("median", PROJECT, "o", "-"), hollow=not_all, note=ENDED
+            mine,
+            "x",
+            "rms_mm",
+            Style("median", PROJECT, "o", "-"),
+            hollow=has_failed_runs,
+            note=ENDED,
         )
         worst = Style("worst run", FAINT, "o", ":")
-        panel.points(mine, "x", "worst_rms_mm", worst, hollow=not_all, note=ENDED)
+        panel.points(mine, "x", "worst_rms_mm", worst, hollow=has_failed_runs, note=ENDED)
         panel.rule("allowed", y=ALLOWED_MM, colour=LIMIT)
         panel.rule("triggered", y=triggered["rms_mm"], colour=SECOND)
         good = [r["x"] for r in mine if r["kept"]]
@@ -119,14 +124,14 @@ ON_A_BUS = {
 def drives(rows: list[Row]) -> Drawn:
     """Return the chart of the tracking error against the parameters of bus and drives."""
     panels, bridges = Panels(), next(r for r in rows if not r["changed"])
-    names = by([r for r in rows if r["changed"]], "drive")
+    names = group_rows([r for r in rows if r["changed"]], "drive")
     styles = {name: Style(name, c, "o", "-") for name, c in zip(names, COUNT_COLOURS, strict=False)}
     for changed, (title, label) in ON_A_BUS.items():
         panel = panels.add(
             title, Axis(label), Axis("median of the RMS tracking error [mm]", log=True)
         )
         mine = [r for r in rows if r["changed"] == changed]
-        panel.kinds(mine, "drive", "value", "rms_mm", styles, hollow=not_all, note=ENDED)
+        panel.kinds(mine, "drive", "value", "rms_mm", styles, hollow=has_failed_runs, note=ENDED)
         panel.rule("bridges", y=bridges["rms_mm"], colour=LIMIT)
     errors = {
         (r["changed"], r["value"]): shown(r["rms_mm"]) for r in rows if r["drive"] == "interpolated"
@@ -145,7 +150,7 @@ def drives(rows: list[Row]) -> Drawn:
 def rigs(rows: list[Row]) -> Drawn:
     """Return the chart of success, time and error on small and weak rigs. The chart also shows the
     predictions of `feasible`."""
-    names, panels = tuple(by(rows, "rig"))[::-1], Panels()
+    names, panels = tuple(group_rows(rows, "rig"))[::-1], Panels()
     y = Axis("", names=names)
     success = panels.add("Ended well", Axis("runs [%]", limits=(-5, 105)), y)
     time = panels.add("Time of the task", Axis("median [s]", log=True), y)
@@ -154,23 +159,25 @@ def rigs(rows: list[Row]) -> Drawn:
     )
     speed = Axis("speed [% of the requested speed]", limits=(-5, 105))
     pace = panels.add("Following a path", speed, y)
-    tasks = by([r | {"scenario": r["scenario"].removesuffix("_desk")} for r in rows], "scenario")
+    tasks = group_rows(
+        [r | {"scenario": r["scenario"].removesuffix("_desk")} for r in rows], "scenario"
+    )
     for colour, marker, (scenario, these) in zip(COUNT_COLOURS, "osD", tasks.items(), strict=False):
-        mine = [r | {"share": percent(r), "kept": 100 * (r["pace"] or 0)} for r in these]
+        mine = [r | {"share": success_percent(r), "kept": 100 * (r["pace"] or 0)} for r in these]
         style = Style(scenario, colour, marker)
         note = ENDED + "; feasible: {feasible}"
-        success.points(mine, "share", "rig", style, hollow=not_all, note=note)
-        time.points(mine, "time_s", "rig", style, hollow=not_all)
+        success.points(mine, "share", "rig", style, hollow=has_failed_runs, note=note)
+        time.points(mine, "time_s", "rig", style, hollow=has_failed_runs)
         time.points(mine, "feasible_s", "rig", Style(f"{scenario}, predicted", colour, "x"))
         if any(column(mine, "rms_mm")):
-            error.points(mine, "rms_mm", "rig", style, hollow=not_all)
-            pace.points(mine, "kept", "rig", style, hollow=not_all)
+            error.points(mine, "rms_mm", "rig", style, hollow=has_failed_runs)
+            pace.points(mine, "kept", "rig", style, hollow=has_failed_runs)
     failures = "; ".join(
         f"{rig} (" + ", ".join(f"{r['scenario']}: {r['succeeded']} succeeded" for r in these) + ")"
-        for rig, these in by(list(filter(not_all, rows)), "rig").items()
+        for rig, these in group_rows(list(filter(has_failed_runs, rows)), "rig").items()
     )
     ends = f"Some runs failed on these rigs: {failures}." if failures else "All runs succeeded."
-    right = sum((r["feasible"] == "likely") == (percent(r) > 50) for r in rows)
+    right = sum((r["feasible"] == "likely") == (success_percent(r) > 50) for r in rows)
     return Drawn(
         panels,
         f"{ends} The prediction of `feasible` was right in {right} of {len(rows)} cases. The "
@@ -178,13 +185,13 @@ def rigs(rows: list[Row]) -> Drawn:
     )
 
 
-def not_all(row: Row) -> bool:
+def has_failed_runs(row: Row) -> bool:
     """Whether some runs of a row failed. The row contains the number of successes as text, such as
     "9 of 10"."""
-    return percent(row) < 100
+    return success_percent(row) < 100
 
 
-def percent(row: Row) -> float:
+def success_percent(row: Row) -> float:
     """Return the percentage of a row's runs that succeeded."""
     good, runs = map(int, row["succeeded"].split(" of "))
     return 100 * good / runs

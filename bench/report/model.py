@@ -6,7 +6,7 @@ from __future__ import annotations
 from harness import shown
 from report.axis import Axis
 from report.chart import Drawn
-from report.panels import BASELINE, PROJECT, SECOND, THIRD, Panels, Row, Style, by
+from report.panels import BASELINE, PROJECT, SECOND, THIRD, Panels, Row, Style, group_rows
 
 COLOURS = (PROJECT, BASELINE, SECOND, THIRD, "#8a6d00")
 """Colours of scenes."""
@@ -26,9 +26,9 @@ MIN_UM = 1e-4
 
 def model(rows: list[Row]) -> Drawn:
     """Return the chart of the CPU time and the error of a cycle, by scene and number of parts."""
-    panels, ours = Panels(), by([r for r in rows if r["method"] == "one model"], "scene")
+    panels, ours = Panels(), group_rows([r for r in rows if r["method"] == "one model"], "scene")
     parts, time = Axis("parts", log=True), Axis("CPU time of a cycle [ms]", log=True)
-    for scene, mine in by(rows, "scene").items():
+    for scene, mine in group_rows(rows, "scene").items():
         panel = panels.add(scene, parts, time)
         panel.kinds(mine, "method", "parts", "cpu_ms", STYLES, note="error {error_um:.3g} µm")
     error = Axis("error after a cycle [µm]", log=True, minimum=MIN_UM)

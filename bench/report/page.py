@@ -43,7 +43,8 @@ def write_report(path: Path, facts: Data, charts: Sequence[Chart]) -> None:
     )
     sentences = [f'<p class="soft">Measured on: {escape(text)}.</p>' for text in machines(facts)]
     text = Template(PAGE.read_text(encoding="utf-8")).substitute(
-        style=STYLE.read_text(encoding="utf-8"), script=get_plotlyjs(), warning=warning(facts),
+        style=STYLE.read_text(encoding="utf-8"), script=get_plotlyjs(),
+        warning=quick_warning(facts),
         machines="\n".join(sentences), links=links, rows=rows,
         sections="\n".join(section(one, facts) for one in charts),
     )  # fmt: skip
@@ -51,7 +52,7 @@ def write_report(path: Path, facts: Data, charts: Sequence[Chart]) -> None:
     path.write_text(text, encoding="utf-8")
 
 
-def warning(facts: Data) -> str:
+def quick_warning(facts: Data) -> str:
     """Return a warning if there are quick measurements."""
     quick = ", ".join(name for name, item in facts.items() if item["quick"])
     text = f'<p class="warning">Quick measurements with few cases: {quick}.</p>'
@@ -76,7 +77,7 @@ def section(chart: Chart, facts: Data) -> str:
         config={"responsive": True, "displayModeBar": False},
     )
     default = f'<p class="why"><b>Default.</b> {escape(chart.default)}</p>'
-    table = cells(chart.frame).to_html(index=False, border=0)
+    table = cell_texts(chart.frame).to_html(index=False, border=0)
     csv = b64encode(chart.sheet.csv.encode()).decode()
     return (
         f'<section id="{chart.key}"><h2>{escape(chart.full_title)}</h2>'
@@ -86,11 +87,11 @@ def section(chart: Chart, facts: Data) -> str:
         f"{default if chart.default else ''}<details><summary>Table, {len(chart.sheet.rows)} rows"
         f'</summary><div class="scroll">{table}</div></details>'
         f'<p class="soft"><a download="{chart.key}.csv" href="data:text/csv;base64,{csv}">'
-        f"{chart.key}.csv</a>. {repeat(chart.sources, facts)}</p></section>"
+        f"{chart.key}.csv</a>. {repeat_commands(chart.sources, facts)}</p></section>"
     )
 
 
-def repeat(sources: Iterable[str], facts: Data) -> str:
+def repeat_commands(sources: Iterable[str], facts: Data) -> str:
     """Return a text with the commands that repeat measurements."""
     commands = [
         f"<code>make bench ARGS={name}</code>{escape(measured(facts.get(name)))}"
@@ -122,6 +123,6 @@ def common_commit(facts: Data) -> str:
     return commits.pop() if len(commits) == 1 else ""
 
 
-def cells(frame: pd.DataFrame) -> pd.DataFrame:
+def cell_texts(frame: pd.DataFrame) -> pd.DataFrame:
     """Return the texts of a table's cells."""
     return frame.astype(object).where(frame.notna(), None).map(shown)

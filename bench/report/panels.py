@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from plotly import graph_objects as go
 from plotly.subplots import make_subplots
 
-from report.axis import Axis, edges
+from report.axis import Axis, cell_edges
 
 Row = dict[str, Any]
 
@@ -71,7 +71,7 @@ class Style(NamedTuple):
     line: str = ""
 
 
-def by(rows: Sequence[Row], *keys: str) -> dict[Any, list[Row]]:
+def group_rows(rows: Sequence[Row], *keys: str) -> dict[Any, list[Row]]:
     """Return the groups of rows that have equal values in one or more columns. The order of the
     rows is kept."""
     found: dict[Any, list[Row]] = {}
@@ -81,7 +81,7 @@ def by(rows: Sequence[Row], *keys: str) -> dict[Any, list[Row]]:
     return found
 
 
-def nowhere(_: Row) -> bool:
+def is_never(_: Row) -> bool:
     """Return False for every row."""
     return False
 
@@ -210,7 +210,7 @@ class Panel:
 
     def points(
         self, rows: Sequence[Row], x: str, y: str, style: Style, *,
-        hollow: Callable[[Row], bool] = nowhere, note: str = "", in_front: bool = True,
+        hollow: Callable[[Row], bool] = is_never, note: str = "", in_front: bool = True,
     ) -> None:  # fmt: skip
         """Draw a point of one kind for each row.
 
@@ -262,7 +262,7 @@ class Panel:
     ) -> None:
         """Draw the points of every kind. The value in a column determines the kind of a row. `more`
         contains further arguments of `points`."""
-        for kind, mine in by(rows, key).items():
+        for kind, mine in group_rows(rows, key).items():
             self.points(mine, x, y, styles[kind], **more)
 
     def heat(
@@ -274,7 +274,8 @@ class Panel:
         self.field = label, limits
         self.traces.append(
             go.Heatmap(
-                x=edges(x, self.x.log), y=edges(y, self.y.log), z=[list(row) for row in z],
+                x=cell_edges(x, self.x.log), y=cell_edges(y, self.y.log),
+                z=[list(row) for row in z],
                 coloraxis="coloraxis", customdata=[[[a, b] for a in x] for b in y],
                 hovertemplate=f"{self.x.label}: %{{customdata[0]:.4g}}<br>{self.y.label}: "
                 f"%{{customdata[1]:.4g}}<br>{label}: %{{z:.3g}}<extra></extra>",

@@ -7,7 +7,7 @@ import numpy as np
 from harness import shown
 from report.axis import Axis
 from report.chart import Data, Drawn, Sheet, column, parts
-from report.panels import BASELINE, PROJECT, SECOND, Panels, Row, Style, by
+from report.panels import BASELINE, PROJECT, SECOND, Panels, Row, Style, group_rows
 
 MIN_ERROR = 1e-11
 """Minimum drawn error [mu mg]. Smaller errors are rounding errors, and are drawn at this value."""
@@ -33,8 +33,8 @@ def solver(rows: list[Row]) -> Drawn:
         "scipy lm": Style("scipy least_squares (lm)", BASELINE, "x"),
         "SinusoidSolver": Style("B: SinusoidSolver", PROJECT, "o"),
     }
-    groups, panels = by(rows, "parts", "method"), Panels()
-    counts = sorted(by(rows, "parts"))
+    groups, panels = group_rows(rows, "parts", "method"), Panels()
+    counts = sorted(group_rows(rows, "parts"))
     for count in counts:
         panel = panels.add(
             parts(count), Axis("time of one cold solve [ms]", log=True),
@@ -75,7 +75,7 @@ def options(rows: list[Row]) -> Drawn:
         ("scipy, own differences", ""): Style("scipy, finite differences", BASELINE, "x", "--"),
     }
     panels = Panels()
-    for count, these in by(rows, "parts").items():
+    for count, these in group_rows(rows, "parts").items():
         panel = panels.add(
             parts(count), Axis("median time of a cold solve [ms]", log=True),
             Axis("drift error in the simulator, RMS [%]", log=True), "less less",
@@ -92,7 +92,7 @@ def options(rows: list[Row]) -> Drawn:
         mine = [r for r in rows if (r["parts"], r["method"], r["option"]) == key]
         return " / ".join(f"{r['missed_percent']:.0f} % in {r['median_ms']:.0f} ms" for r in mine)
 
-    counts = sorted(by(rows, "parts"))
+    counts = sorted(group_rows(rows, "parts"))
     text = " ".join(
         f"With {parts(n)}, Method B has an error of {error_text(n, 'B', '40 restarts')}, Method A "
         f"{error_text(n, 'A', '1 restarts')}, and scipy with finite differences "

@@ -8,10 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from maps.grid import Grid, StabilityMap
-from maps.stability import borders, nearness
-from report.axis import Axis, edges
+from maps.stability import border_sentence, borders
+from report.axis import Axis, cell_edges
 from report.chart import Data, Drawn, Sheet
-from report.panels import BASELINE, Panels, Row, Style, by
+from report.panels import BASELINE, Panels, Row, Style, group_rows
 
 MAX_NAMED = 14
 """Maximum number of integer values on an axis for which each value has a label."""
@@ -35,10 +35,10 @@ def texts_of(one: StabilityMap) -> dict[str, str]:
 
 def chart_of(rows: list[Row], one: StabilityMap) -> Drawn:
     """Return the chart of one map."""
-    panels, grids = Panels(), [Grid.of(mine) for mine in by(rows, "panel").values()]
+    panels, grids = Panels(), [Grid.of(mine) for mine in group_rows(rows, "panel").values()]
     for grid in grids:
         add_panel(panels, one, grid)
-    return Drawn(panels, f"{one.finding} {nearness(one, grids)}")
+    return Drawn(panels, f"{one.finding} {border_sentence(one, grids)}")
 
 
 def add_panel(panels: Panels, one: StabilityMap, grid: Grid) -> None:
@@ -55,20 +55,20 @@ def add_panel(panels: Panels, one: StabilityMap, grid: Grid) -> None:
     }
     for style, places in lines.items():
         line = [{"x": a, "y": b} for a, b in zip(*places, strict=True) if np.isfinite(b)]
-        corners = steps(line, grid.x, "x" in one.log) if one.steps else line
+        corners = step_line(line, grid.x, "x" in one.log) if one.steps else line
         panel.points(corners, "x", "y", style)
 
 
 def axis(one: StabilityMap, name: str, label: str, values: Sequence[float]) -> Axis:
     """Return the axis of one parameter, x or y, from edge to edge of the cells."""
     few = one.steps and len(values) <= MAX_NAMED and all(float(v).is_integer() for v in values)
-    ends = edges(values, name in one.log)
+    ends = cell_edges(values, name in one.log)
     return Axis(
         label, name in one.log, ticks=tuple(values) if few else (), limits=(ends[0], ends[-1])
     )
 
 
-def steps(line: list[Row], x: Sequence[float], log: bool) -> list[Row]:
+def step_line(line: list[Row], x: Sequence[float], log: bool) -> list[Row]:
     """Return a line as steps, constant within each cell."""
-    ends = edges(x, log)
+    ends = cell_edges(x, log)
     return [r | {"x": ends[x.index(r["x"]) + side]} for r in line for side in (0, 1)]

@@ -7,7 +7,18 @@ from plate_sim.friction import TOLERANCE
 from plate_sim.world import STEP
 from report.axis import Axis
 from report.chart import Data, Drawn, Sheet, column, table
-from report.panels import BASELINE, FAINT, LIMIT, PROJECT, SECOND, THIRD, Panels, Row, Style, by
+from report.panels import (
+    BASELINE,
+    FAINT,
+    LIMIT,
+    PROJECT,
+    SECOND,
+    THIRD,
+    Panels,
+    Row,
+    Style,
+    group_rows,
+)
 
 MIN_MM = 1e-12
 """Minimum drawn error [mm]. Smaller errors are rounding errors, and are drawn at this value."""
@@ -58,11 +69,11 @@ def sim_rows(data: Data) -> Sheet:
 def sim(rows: list[Row]) -> Drawn:
     """Return the chart of the simulator's error against speed, for separate and for colliding
     parts."""
-    panels, cases = Panels(), by(rows, "case")
+    panels, cases = Panels(), group_rows(rows, "case")
     speed = Axis("simulated time per CPU time [s/s]", log=True)
     for case, key, title, label, error, minimum, line in SIMULATED:
         styles = {method: style._replace(line=line) for method, style in SIMULATORS.items()}
-        for value, mine in sorted(by(cases[case], key).items()):
+        for value, mine in sorted(group_rows(cases[case], key).items()):
             y = Axis(label, log=True, minimum=minimum)
             panel = panels.add(title.format(value), speed, y, "more less")
             panel.kinds(mine, "method", "speed", error, styles, note="{setting}")
@@ -105,7 +116,7 @@ def cost_rows(data: Data) -> Sheet:
 def cost(rows: list[Row]) -> Drawn:
     """Return the chart of the computing time of every stage and of every model of the simulator, by
     number of parts."""
-    stages, models = by(rows, "case")["stages"], by(rows, "case")["simulator"]
+    stages, models = group_rows(rows, "case")["stages"], group_rows(rows, "case")["simulator"]
     counts = column(stages, "parts")
     panels = Panels()
     first = panels.add(
@@ -140,7 +151,7 @@ def cost(rows: list[Row]) -> Drawn:
     )
 
 
-def span(rows: list[Row], key: str) -> str:
+def range_text(rows: list[Row], key: str) -> str:
     """Return the minimum and maximum of a column."""
     return f"{min(column(rows, key)):.2g} to {max(column(rows, key)):.2g}"
 
@@ -149,12 +160,12 @@ def vision(rows: list[Row]) -> Drawn:
     """Return the chart of error against time for finding discs, with a panel for each scene."""
     colours, methods = (
         (PROJECT, BASELINE, SECOND, THIRD, "#8a6d00", LIMIT),
-        list(by(rows, "method")),
+        list(group_rows(rows, "method")),
     )
     styles = {
         name: Style(name, *style) for name, *style in zip(methods, colours, "osD^vx", strict=False)
     }
-    scenes = by([r for r in rows if r["rms_px"] is not None], "place", "discs")
+    scenes = group_rows([r for r in rows if r["rms_px"] is not None], "place", "discs")
     panels = Panels()
     for (place, discs), mine in sorted(scenes.items()):
         panel = panels.add(
@@ -167,9 +178,9 @@ def vision(rows: list[Row]) -> Drawn:
     ours = [r for r in rows if r["method"] == methods[0]]
     return Drawn(
         panels,
-        f"The detector has an error of {span(ours, 'rms_px')} px, misses no disc, and detects no "
-        f"false disc. An image takes {span(ours, 'loop_ms')} ms, or {span(ours, 'turns_ms')} ms if "
-        "the baselines run in between.",
+        f"The detector has an error of {range_text(ours, 'rms_px')} px, misses no disc, and "
+        f"detects no false disc. An image takes {range_text(ours, 'loop_ms')} ms, or "
+        f"{range_text(ours, 'turns_ms')} ms if the baselines run in between.",
     )
 
 

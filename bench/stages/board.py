@@ -6,8 +6,8 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from board_host import Host, Ticks, attacked, committed
-from emulated_board import NEEDS, EmulatedBoard, built, unfollowed
+from board_host import Host, Ticks, attack_board, upload_while_playing
+from emulated_board import NEEDS, EmulatedBoard, build_firmware, rig_without_following_check
 from needs import packages, program
 
 from harness import ROOT, Result, Table
@@ -35,7 +35,9 @@ def measure(quick: bool) -> Result:
     pieces, packets = ((1, 48, 500), 500) if quick else (PIECES, PACKETS)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        elf = built(folder, RIG=unfollowed(ROOT / "config" / "rig.yaml", folder))
+        elf = build_firmware(
+            folder, RIG=rig_without_following_check(ROOT / "config" / "rig.yaml", folder)
+        )
         commits = commit_rows(elf, pieces)
         attacks = [attack_row(elf, pace, packets) for pace in LINES]
     return Result([Table.of("commits", commits), Table.of("attacks", attacks)])
@@ -49,7 +51,7 @@ def commit_rows(elf: Path, pieces: tuple[int, ...]) -> list[dict[str, Any]]:
         host.begin()
         host.enable()
         for number, count in enumerate(pieces):
-            status, ticks = committed(host, count, 2 * number + 1)
+            status, ticks = upload_while_playing(host, count, 2 * number + 1)
             rows.append({"pieces": count, "answer": Status(status).name, **row_of(ticks)})
     return rows
 
@@ -60,7 +62,7 @@ def attack_row(elf: Path, pace: int, packets: int) -> dict[str, Any]:
         host = Host(board, pace)
         host.begin()
         host.enable()
-        attack, ticks = attacked(host, packets, seed=1)
+        attack, ticks = attack_board(host, packets, seed=1)
         kinds = ", ".join(f"{kind} {count}" for kind, count in sorted(attack.kinds.items()))
         return {
             "bytes": pace,

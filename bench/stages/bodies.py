@@ -40,14 +40,14 @@ PROJECT, BASELINE = "bodies", "scipy RK45"
 
 def measure(quick: bool) -> Result:
     """Simulate the disc with several settings of the project's simulator and of scipy."""
-    truth = by_scipy(TRUE_CELLS, "DOP853", 1e-5 if quick else 1e-8)
-    cases = [(PROJECT, f"{ms:g} ms", partial(by_steps, ms)) for ms in STEPS_MS]
+    truth = integrate_with_scipy(TRUE_CELLS, "DOP853", 1e-5 if quick else 1e-8)
+    cases = [(PROJECT, f"{ms:g} ms", partial(simulate_in_steps, ms)) for ms in STEPS_MS]
     for tolerance in TOLERANCES[:1] if quick else TOLERANCES:
-        run = partial(by_scipy, BASELINE_CELLS, "RK45", tolerance)
+        run = partial(integrate_with_scipy, BASELINE_CELLS, "RK45", tolerance)
         cases.append((BASELINE, f"rtol {tolerance:g}", run))
     rows = [
         {
-            "method": method, "setting": setting, "error_mm": 1e3 * apart(run(), truth),
+            "method": method, "setting": setting, "error_mm": 1e3 * pose_distance(run(), truth),
             "speed": CYCLES / FREQUENCY / race({"": run}, 0.1).median(""),
         }
         for method, setting, run in cases
@@ -55,14 +55,14 @@ def measure(quick: bool) -> Result:
     return Result([Table.of("bodies", rows, span=CYCLES / FREQUENCY)])
 
 
-def apart(one: np.ndarray, other: np.ndarray) -> float:
+def pose_distance(one: np.ndarray, other: np.ndarray) -> float:
     """Return the difference of two poses (3,) [m, m, rad] of the disc as a distance [m]. This is
     the distance of the centres or the distance of a point on the contour, whichever is larger."""
     x, y, angle = one - other
     return max(float(np.hypot(x, y)), RADIUS * abs(angle))
 
 
-def by_steps(step_ms: float) -> np.ndarray:
+def simulate_in_steps(step_ms: float) -> np.ndarray:
     """Simulate the disc with plate_sim in steps [ms]. Return its final pose (3,) [m, m, rad]."""
     run = simulate_bodies(
         exact_cycle(GAMMA, SPIN), disc(RADIUS), np.array([PLACE]), 0, np.array([SPEED]), OMEGA, MU,
@@ -71,7 +71,7 @@ def by_steps(step_ms: float) -> np.ndarray:
     return np.append(run.position[-1, 0], run.angle[-1, 0])
 
 
-def by_scipy(cells: tuple[int, int], method: str, tolerance: float) -> np.ndarray:
+def integrate_with_scipy(cells: tuple[int, int], method: str, tolerance: float) -> np.ndarray:
     """Integrate the equations of motion with scipy, with friction by midpoints of cells of equal
     area. Return the final pose (3,) [m, m, rad]."""
     cycle = exact_cycle(GAMMA, SPIN)
@@ -80,7 +80,7 @@ def by_scipy(cells: tuple[int, int], method: str, tolerance: float) -> np.ndarra
     angle = 2 * np.pi * (np.arange(each) + 0.5) / each
     x, y = np.outer(ring, np.cos(angle)).ravel(), np.outer(ring, np.sin(angle)).ravel()
 
-    def slope(t: float, state: np.ndarray) -> list[float]:
+    def state_derivative(t: float, state: np.ndarray) -> list[float]:
         now = np.array([t % cycle.period])
         pose, twist = cycle.pose(now)[0], cycle.twist(now)[0]
         px, py, _, vx, vy, spin = state
@@ -94,7 +94,7 @@ def by_scipy(cells: tuple[int, int], method: str, tolerance: float) -> np.ndarra
     start = [*PLACE, 0.0, *SPEED, OMEGA]
     end = CYCLES / FREQUENCY
     found = solve_ivp(
-        slope, (0, end), start, method, [end], rtol=tolerance, atol=1e-3 * tolerance,
+        state_derivative, (0, end), start, method, [end], rtol=tolerance, atol=1e-3 * tolerance,
         max_step=0.1 / FREQUENCY,
     )  # fmt: skip
     return np.asarray(found.y[:3, -1])

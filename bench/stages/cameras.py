@@ -139,12 +139,12 @@ def seen_from(name: str = "", radius_m: float = 0.0, **view: float) -> Rig:
     return replace(rig, parts=replace(rig.parts, radius_m=radius_m or rig.parts.radius_m))
 
 
-def near() -> Rig:
+def near_camera_rig() -> Rig:
     """Return the default rig with a camera 0.43 m above the plate."""
     return seen_from(focal_px=430.0, distance_m=0.43)
 
 
-def strong_lens() -> Rig:
+def wide_angle_rig() -> Rig:
     """Return a rig with a wide-angle lens, by a published calibration of a camera of 1480 x 1080
     px."""
     rig = load_rig()
@@ -159,7 +159,7 @@ def strong_lens() -> Rig:
     return replace(rig, camera=camera)
 
 
-def flat(rig: Rig) -> Rig:
+def without_heights(rig: Rig) -> Rig:
     """Return the rig that the detector would get from a rig file without heights."""
     return with_height(rig, 0.0)
 
@@ -171,22 +171,22 @@ def without_distortion(rig: Rig) -> Rig:
     return replace(rig, camera=replace(rig.camera, lens=Lens(lens.focal_px, lens.centre_px)))
 
 
-def mirrored(image: np.ndarray) -> np.ndarray:
+def mirror_image(image: np.ndarray) -> np.ndarray:
     """Return the image with left and right exchanged."""
     return np.ascontiguousarray(image[:, ::-1])
 
 
-def moved(image: np.ndarray) -> np.ndarray:
+def shift_image(image: np.ndarray) -> np.ndarray:
     """Return the image shifted to the right by `MOVED_PX`, as if somebody had pushed the camera."""
     return np.roll(image, MOVED_PX, axis=1)
 
 
-def shapes() -> Rig:
+def part_types_rig() -> Rig:
     """Return the rig with the part types."""
     return load_rig("shapes")
 
 
-def shade(length_m: float, depth: float = 0.5) -> Lighting:
+def lamp_lighting(length_m: float, depth: float = 0.5) -> Lighting:
     """Return the lighting by a lamp whose shadows have this length."""
     return Lighting(shadows=depth, shadow_m=length_m, penumbra_m=min(0.003, length_m / 2))
 
@@ -202,23 +202,29 @@ KINDS = (
         Kind(f"contrast {less:g} on {plate:g}", greys=(plate - less,), plate=plate)
         for plate, less in CONTRASTS
     ),
-    Kind("yellow on white", rig=shapes, greys=((60.0, 215.0, 220.0),)),
+    Kind("yellow on white", rig=part_types_rig, greys=((60.0, 215.0, 220.0),)),
     *(
         Kind(f"bright on {plate:g}", greys=(200.0,), plate=plate, room=plate / 3)
         for plate in (70.0, 130.0)
     ),
     Kind("5 mm high, 0.91 m", height=0.005, rig=lambda: seen_from(distance_m=0.91)),
-    Kind("5 mm high, 0.43 m", height=0.005, rig=near),
+    Kind("5 mm high, 0.43 m", height=0.005, rig=near_camera_rig),
     Kind("10 mm high, 0.91 m", height=0.01, rig=lambda: seen_from(distance_m=0.91)),
-    Kind("10 mm high, 0.43 m", height=0.01, rig=near),
-    Kind("20 mm high, 0.43 m", height=0.02, rig=near),
-    Kind("10 mm high, 0.43 m, not in the rig file", height=0.01, rig=near, known=flat),
-    *(Kind(f"shadow {1e3 * length:g} mm", lighting=shade(length)) for length in (3e-3, 5e-3, 1e-2)),
+    Kind("10 mm high, 0.43 m", height=0.01, rig=near_camera_rig),
+    Kind("20 mm high, 0.43 m", height=0.02, rig=near_camera_rig),
+    Kind(
+        "10 mm high, 0.43 m, not in the rig file", height=0.01, rig=near_camera_rig,
+        known=without_heights,
+    ),
+    *(
+        Kind(f"shadow {1e3 * length:g} mm", lighting=lamp_lighting(length))
+        for length in (3e-3, 5e-3, 1e-2)
+    ),
     *(
         Kind(f"tilt {tilt} sideways", rig=lambda tilt=tilt: seen_from(tilt_deg=tilt, focal_px=500))  # type: ignore[misc]
         for tilt in (15, 20, 25, 30, 40)
     ),
-    Kind("strong lens", rig=strong_lens),
+    Kind("strong lens", rig=wide_angle_rig),
     Kind("sizes 0.8, 1 and 1.2", sizes=(0.8, 1.0, 1.2)),
     Kind("sizes 0.7 to 1.3", sizes=(0.7, 0.85, 1.0, 1.15, 1.3)),
     Kind("radius 4 px, soft 1.2 px", rig=lambda: seen_from(radius_m=0.004), defocus_px=1.2),
@@ -232,31 +238,34 @@ KINDS = (
     Kind(
         "webcam: tilt 15, 5 mm high, shadow, JPEG",
         rig=lambda: seen_from(tilt_deg=15, towards_deg=-90, focal_px=500), height=0.005,
-        lighting=shade(4e-3, 0.3), jpeg=WEBCAM_QUALITY, marked=True, noise=4.0,
+        lighting=lamp_lighting(4e-3, 0.3), jpeg=WEBCAM_QUALITY, marked=True, noise=4.0,
     ),
     Kind(
         "barrel lens, left out of the rig file", known=without_distortion,
         rig=lambda: view_from(load_rig(), focal_px=500, distortion=BARREL),
     ),
-    Kind("image mirrored", warp=mirrored),
-    Kind("camera pushed by 12 px", warp=moved),
-    Kind("typed, plain", typed=True, rig=shapes),
-    Kind("typed, light 15 % down, dark room", typed=True, rig=shapes, room=8.0, levels=STEP_DOWN),
-    Kind("typed, light 20 % down", typed=True, rig=shapes, levels=(1.0, 1.0, 0.8)),
-    Kind("typed, light 5 % down", typed=True, rig=shapes, levels=(1.0, 1.0, 0.95)),
-    Kind("typed, light 10 % up", typed=True, rig=shapes, levels=(1.0, 1.0, 1.1)),
+    Kind("image mirrored", warp=mirror_image),
+    Kind("camera pushed by 12 px", warp=shift_image),
+    Kind("typed, plain", typed=True, rig=part_types_rig),
+    Kind(
+        "typed, light 15 % down, dark room", typed=True, rig=part_types_rig, room=8.0,
+        levels=STEP_DOWN,
+    ),
+    Kind("typed, light 20 % down", typed=True, rig=part_types_rig, levels=(1.0, 1.0, 0.8)),
+    Kind("typed, light 5 % down", typed=True, rig=part_types_rig, levels=(1.0, 1.0, 0.95)),
+    Kind("typed, light 10 % up", typed=True, rig=part_types_rig, levels=(1.0, 1.0, 1.1)),
     *(
         Kind(
-            f"typed, flicker {100 * part:g} %", typed=True, rig=shapes,
+            f"typed, flicker {100 * part:g} %", typed=True, rig=part_types_rig,
             levels=(1 + part, 1 - part) * (TYPED_SHOTS // 2),
         )
         for part in (0.06, 0.1)
     ),
-    Kind("typed, 2 px softer", typed=True, rig=shapes, softer_px=2.0),
-    Kind("typed, motion 6 px", typed=True, rig=shapes, blur_px=6.0),
-    Kind("typed, gloss 0.25 r", typed=True, rig=shapes, lighting=Lighting(gloss=0.25)),
-    Kind("typed, shadow 5 mm", typed=True, rig=shapes, lighting=shade(5e-3)),
-    Kind("typed, shadow 10 mm", typed=True, rig=shapes, lighting=shade(1e-2)),
+    Kind("typed, 2 px softer", typed=True, rig=part_types_rig, softer_px=2.0),
+    Kind("typed, motion 6 px", typed=True, rig=part_types_rig, blur_px=6.0),
+    Kind("typed, gloss 0.25 r", typed=True, rig=part_types_rig, lighting=Lighting(gloss=0.25)),
+    Kind("typed, shadow 5 mm", typed=True, rig=part_types_rig, lighting=lamp_lighting(5e-3)),
+    Kind("typed, shadow 10 mm", typed=True, rig=part_types_rig, lighting=lamp_lighting(1e-2)),
     Kind(
         "typed, tilt 25 sideways", typed=True,
         rig=lambda: seen_from("shapes", tilt_deg=25, focal_px=500),
@@ -280,10 +289,10 @@ def measure(quick: bool) -> Result:
 
 def scene(name: str, seed: int) -> Scene:
     """Return one scene of a kind, by its name in `BY_NAME`."""
-    return drawn(BY_NAME[name], seed)
+    return draw_scene(BY_NAME[name], seed)
 
 
-def drawn(kind: Kind, seed: int) -> Scene:
+def draw_scene(kind: Kind, seed: int) -> Scene:
     """Draw one scene of a kind: `scene`."""
     rng = np.random.default_rng(seed)
     real = with_height(kind.rig(), kind.height)
@@ -292,7 +301,7 @@ def drawn(kind: Kind, seed: int) -> Scene:
     if kind.typed:
         every = list(real.types.values())
         types = [every[k % len(every)] for k in range(count)]
-        place = spread(real, types, rng)
+        place = random_centres(real, types, rng)
         colours = part_colours(types, real.camera.colour)
     else:
         real = replace(real, types={})
@@ -320,7 +329,7 @@ def drawn(kind: Kind, seed: int) -> Scene:
         image = camera.render(
             path if kind.blur_px else begin, colours, rng, lighting=lighting, **more
         )
-        image = compressed(image, kind.jpeg) if kind.jpeg else image
+        image = compress_image(image, kind.jpeg) if kind.jpeg else image
         images.append(image if kind.warp is None else kind.warp(image))
     bare = []
     if kind.typed:
@@ -331,7 +340,7 @@ def drawn(kind: Kind, seed: int) -> Scene:
     return Scene(known, bare, images, place, angle, types)
 
 
-def spread(rig: Rig, types: Sequence[PartType], rng: np.random.Generator) -> np.ndarray:
+def random_centres(rig: Rig, types: Sequence[PartType], rng: np.random.Generator) -> np.ndarray:
     """Return random centres (n, 2) [m] of typed parts, each in a separate cell of a grid."""
     reach = max(part.reach_m for part in types)
     limit = rig.plate.half - reach
@@ -344,13 +353,13 @@ def spread(rig: Rig, types: Sequence[PartType], rng: np.random.Generator) -> np.
     return np.clip(middle + rng.uniform(-1, 1, middle.shape) * free, -limit, limit)
 
 
-def compressed(image: np.ndarray, quality: int) -> np.ndarray:
+def compress_image(image: np.ndarray, quality: int) -> np.ndarray:
     """Return an image after JPEG compression with this quality."""
     _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])
     return np.asarray(cv2.imdecode(data, cv2.IMREAD_UNCHANGED))
 
 
-def seen(one: Scene) -> Iterator[tuple[Tracker, bool]]:
+def detect_in_scene(one: Scene) -> Iterator[tuple[Tracker, bool]]:
     """Yield the detector's result for each image of a scene, and whether the detector reports a
     problem. Problems are rejected objects, a moved outline of the plate, and a refused image."""
     vision, tracker, plate, stamp = make_vision(one.rig), Tracker(), BarePlate(), 1.0
@@ -378,9 +387,9 @@ def row_of(kind: Kind, count: int) -> dict[str, Any]:
     true = false = right = lost = reported = 0
     times = []
     for seed in range(FIRST_SEED, FIRST_SEED + count):
-        one = drawn(kind, seed)
+        one = draw_scene(kind, seed)
         began = time.process_time()
-        for number, (tracker, named_parts) in enumerate(seen(one)):
+        for number, (tracker, named_parts) in enumerate(detect_in_scene(one)):
             times.append(time.process_time() - began)
             began = time.process_time()
             if not kind.typed and number < len(one.images) - 1:

@@ -19,7 +19,7 @@ MAX_BEHIND_US = 100_000
 behind if its process gets no CPU time."""
 
 
-def shaking(knots: int, amplitude: float) -> MotorTable:
+def shaking_table(knots: int, amplitude: float) -> MotorTable:
     """Return the table of a cycle that starts at rest. The cycle has the length `PERIOD_S`, a
     number of knots, and an amplitude [m]."""
     t = np.arange(knots) * PERIOD_S / knots
@@ -33,7 +33,7 @@ def shaking(knots: int, amplitude: float) -> MotorTable:
     return prepare(load_rig(), still, 1)[0]
 
 
-def device(link: str, ready: Event, done: Event) -> Iterator[bytes]:
+def run_device(link: str, ready: Event, done: Event) -> Iterator[bytes]:
     """Run the device in real time until `done` is set. At each poll of the port, yield the bytes
     that arrived since the previous poll."""
     emulator, terminal = Emulator(DeviceLimits.of_rig(load_rig())), PseudoTerminal(link)

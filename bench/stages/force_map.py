@@ -133,11 +133,11 @@ def exact_force(coefficients: np.ndarray, point: np.ndarray) -> np.ndarray:
     total = np.zeros(2)
     for a, b in pairwise(edges.tolist()):
         if b > a:
-            total += adaptive(coefficients, point, a, b, 1e-10 * PERIOD)
+            total += integrate_direction(coefficients, point, a, b, 1e-10 * PERIOD)
     return total / PERIOD
 
 
-def adaptive(
+def integrate_direction(
     coefficients: np.ndarray, point: np.ndarray, a: float, b: float, tolerance: float
 ) -> np.ndarray:
     """Integrate the direction of slip over [a, b] by scipy's quad: (2,) [s]."""
@@ -163,23 +163,23 @@ def evaluators(basis: SinusoidBasis) -> dict[str, Callable[[np.ndarray], ForceMa
     def twist(coefficients: np.ndarray, n: int) -> np.ndarray:
         return np.asarray(sinusoid_basis(NUMBER, PERIOD, False, n).twist @ coefficients)
 
-    def stepwise(n: int, coefficients: np.ndarray) -> ForceMap:
-        return partial(by_steps, twist(coefficients, n), np.ones(n))
+    def stepwise_map(n: int, coefficients: np.ndarray) -> ForceMap:
+        return partial(forces_by_steps, twist(coefficients, n), np.ones(n))
 
     return {
         "average_force": lambda c: partial(average_force, basis.cycle(c)),
-        **{f"step_forces, n = {n}": partial(stepwise, n) for n in (128, 512, 1024)},
-        "numpy, n = 256": lambda c: partial(by_numpy, twist(c, 256)),
-        "quad (scipy)": lambda c: partial(by_quad, c),
+        **{f"step_forces, n = {n}": partial(stepwise_map, n) for n in (128, 512, 1024)},
+        "numpy, n = 256": lambda c: partial(forces_by_numpy, twist(c, 256)),
+        "quad (scipy)": lambda c: partial(forces_by_quad, c),
     }
 
 
-def by_steps(twist: np.ndarray, dt: np.ndarray, position: np.ndarray) -> np.ndarray:
+def forces_by_steps(twist: np.ndarray, dt: np.ndarray, position: np.ndarray) -> np.ndarray:
     """Return average forces, computed by the project's kernel for equal time steps."""
     return step_forces(position, np.zeros_like(position), twist, dt)[:, :2]
 
 
-def by_numpy(twist: np.ndarray, position: np.ndarray) -> np.ndarray:
+def forces_by_numpy(twist: np.ndarray, position: np.ndarray) -> np.ndarray:
     """Return average forces, computed by numpy with equal time steps."""
     u = twist[:, None]
     velocity = np.stack(
@@ -189,8 +189,11 @@ def by_numpy(twist: np.ndarray, position: np.ndarray) -> np.ndarray:
     return np.asarray(np.mean(velocity / speed, axis=0))
 
 
-def by_quad(coefficients: np.ndarray, position: np.ndarray) -> np.ndarray:
+def forces_by_quad(coefficients: np.ndarray, position: np.ndarray) -> np.ndarray:
     """Return average forces, computed by scipy's quad with its default tolerance."""
     return (
-        np.array([adaptive(coefficients, p, 0, PERIOD, 1.5e-8 * PERIOD) for p in position]) / PERIOD
+        np.array(
+            [integrate_direction(coefficients, p, 0, PERIOD, 1.5e-8 * PERIOD) for p in position]
+        )
+        / PERIOD
     )

@@ -109,7 +109,7 @@ def measured(
     simulation = Simulation(rig, scenario, seed, world, mu_scale=mu / rig.friction.mu)
     vision, tracker, now = make_vision(rig), Tracker(), 0.0
 
-    def seen(tracker: Tracker, now: float) -> Tracker:
+    def track_image(tracker: Tracker, now: float) -> Tracker:
         image = simulation.capture()
         assert image is not None
         return observe(vision, tracker, image, now, None)
@@ -117,7 +117,7 @@ def measured(
     def take_image(tracker: Tracker, now: float) -> tuple[Tracker, float, Rest]:
         images = []
         for _ in range(IMAGES):
-            tracker = seen(tracker, now)
+            tracker = track_image(tracker, now)
             images.append(tracker.parts)
             simulation.run(PlateCycle.rest(IMAGE_S))
             now += IMAGE_S
@@ -136,7 +136,7 @@ def measured(
     while measurement.push is not None:
         table, _ = prepare(rig, measurement.push.cycle, round(1e9 * now))
         for motion in table.cycle.parts:
-            tracker = seen(tracker, now)
+            tracker = track_image(tracker, now)
             simulation.run(motion)
             now += motion.period
         true.append(simulation.mu)

@@ -30,13 +30,13 @@ MINUTES, QUICK_MINUTES = 8.0, 0.5
 
 def measure(quick: bool) -> Result:
     """Run the cases one after the other."""
-    from cases.faults import cells
+    from cases.faults import table_cells
 
     nodes = ("--nodes", "planner", "driver") if quick else ()
     tables, summary = [], []
     for transport, where in TRANSPORTS.items():
         found = run_case("faults", *nodes, "--transport", transport)
-        tables.append(Table(f"faults_{transport}", where, FAULTS, cells(found)))
+        tables.append(Table(f"faults_{transport}", where, FAULTS, table_cells(found)))
         well = sum(row["well"] for row in found["rows"])
         summary.append(
             f"{where}: {well} of {len(found['rows'])} faults had the expected effect; "
@@ -54,7 +54,7 @@ def measure(quick: bool) -> Result:
         f"end, the plate {'rests' if goals['plate rests'] else 'does not rest'}"
     )
     hours = run_case("soak", "--minutes", QUICK_MINUTES if quick else MINUTES)
-    tables.append(memory(hours))
+    tables.append(measure_memory(hours))
     summary.append(
         f"{60 * hours['hours']:.1f} minutes of sorting: {hours['done']} of {hours['tasks']} tasks "
         f"done; {hours['held']} of {hours['cycles']} cycles held, {hours['late']} late; "
@@ -84,7 +84,7 @@ def run_case(case: str, *arguments: object) -> Any:
         return json.loads(path.read_text(encoding="utf-8"))
 
 
-def memory(hours: dict[str, Any]) -> Table:
+def measure_memory(hours: dict[str, Any]) -> Table:
     """Return each node's memory during sorting, and its fraction of a CPU core."""
     rows = [
         row | {"slope": f"{row['mb_per_hour']:.1f} ± {row['interval']:.1f}",

@@ -27,7 +27,7 @@ def measure(quick: bool) -> Result:
     tables = [
         Table.of("latency", apart[0]),
         Table.of("latency_one_process", together[0]),
-        Table.of("cpu", cpu(cpu_fractions)),
+        Table.of("cpu", cpu_rows(cpu_fractions)),
     ]
     return Result(tables)
 
@@ -35,14 +35,14 @@ def measure(quick: bool) -> Result:
 def measured(quick: bool, one_process: bool) -> tuple[list[dict[str, Any]], dict[str, float]]:
     """Run the graph. Return a row for the latency of each stage, and the CPU use of the processes
     as fractions of a core."""
-    from graph.series import TASK_S, stages_ms, work_again
+    from graph.series import TASK_S, run_series, stages_ms
 
     from plate_bringup import RunOptions
 
     count = 1 if quick else TASKS
     with TemporaryDirectory() as logs:
         options = RunOptions(scenario="sort_10", autostart=False, one_process=one_process)
-        run = work_again(
+        run = run_series(
             options,
             Path(logs),
             lambda series: len(series.tasks) >= count,
@@ -56,6 +56,6 @@ def measured(quick: bool, one_process: bool) -> tuple[list[dict[str, Any]], dict
     return rows, series.cpu
 
 
-def cpu(fractions: dict[str, float]) -> list[dict[str, Any]]:
+def cpu_rows(fractions: dict[str, float]) -> list[dict[str, Any]]:
     """Return the CPU use of each process [% of a core]."""
     return [{"node": name, "cpu": 100 * fraction} for name, fraction in fractions.items()]

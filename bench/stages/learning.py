@@ -47,13 +47,13 @@ evaluated before the first experiment and after each experiment."""
 def measure(quick: bool) -> Result:
     """Learn the response, and evaluate it before the first experiment and after each experiment."""
     rig = load_rig()
-    rows = iterations(rig, 3 if quick else CYCLES)
+    rows = iteration_rows(rig, 3 if quick else CYCLES)
     facts = {"hz": HZ, "damping": 100 * DAMPING, "mismatch": 100 * MISMATCH, "noise": NOISE}
     facts |= {"sample": 1e3 * SAMPLE_S, "trust": TRUST}
     return Result([Table.of("learning", rows, **facts)])
 
 
-def hung(rig: Rig, frequency: float = HZ) -> Rig:
+def rig_on_flexures(rig: Rig, frequency: float = HZ) -> Rig:
     """Return the rig on flexures of a natural frequency [Hz], with unequal motors and an off-centre
     mass."""
     mass = mass_matrix(rig.plate.mass_kg, 0.075, (0.01, -0.005))
@@ -110,7 +110,7 @@ class Plate:
         return t, q, qdd
 
 
-def error(rig: Rig, cycle: PlateCycle, command: PlateCycle) -> float:
+def harmonics_error(rig: Rig, cycle: PlateCycle, command: PlateCycle) -> float:
     """Return the error of the harmonics [%] if the plate repeats a cycle until its motion is
     periodic."""
     motion = Plate(rig, 0).play(command, 12)
@@ -121,26 +121,26 @@ def error(rig: Rig, cycle: PlateCycle, command: PlateCycle) -> float:
     return 100 * float(np.linalg.norm((got - target) * scale) / np.linalg.norm(target * scale))
 
 
-def evaluated(rig: Rig, iteration: int, response: Response, cycles: int) -> dict[str, Any]:
+def evaluation_row(rig: Rig, iteration: int, response: Response, cycles: int) -> dict[str, Any]:
     """Return a row with the errors of cycles that the learning procedure does not use."""
     tries = [random_cycle(1000 + k) for k in range(cycles)]
-    errors = [error(rig, cycle, response.command(cycle)) for cycle in tries]
+    errors = [harmonics_error(rig, cycle, response.command(cycle)) for cycle in tries]
     return {"iteration": iteration, "median": float(np.median(errors)), "most": max(errors)}
 
 
-def iterations(rig: Rig, cycles: int) -> list[dict[str, Any]]:
+def iteration_rows(rig: Rig, cycles: int) -> list[dict[str, Any]]:
     """Return a row for each iteration."""
-    real = hung(rig)
+    real = rig_on_flexures(rig)
     plate, calibration = Plate(real, 1), Calibration.start(rig)
     frequency = np.arange(1, COUNT + 1) / PERIOD_S
     response = Response.identity(rig, frequency)
-    rows = [evaluated(real, 0, response, cycles)]
+    rows = [evaluation_row(real, 0, response, cycles)]
     while calibration.cycle is not None:
         plate.play(calibration.cycle, calibration.settle)
         read = plate.read(calibration.cycle, calibration.measure)
         calibration = calibration.with_experiment(*read)
         response = response.updated(calibration.commanded[-1], calibration.measured[-1])
-        rows.append(evaluated(real, len(rows), response, cycles))
+        rows.append(evaluation_row(real, len(rows), response, cycles))
     response = calibration.response
     while len(rows) <= MAX_EXPERIMENTS:
         again = Calibration.start(rig, seed=len(rows))
@@ -149,5 +149,5 @@ def iterations(rig: Rig, cycles: int) -> list[dict[str, Any]]:
         plate.play(cycle, again.settle)
         again = again.with_experiment(*plate.read(cycle, again.measure))
         response = response.updated(again.commanded[0], again.measured[0], TRUST)
-        rows.append(evaluated(real, len(rows), response, cycles))
+        rows.append(evaluation_row(real, len(rows), response, cycles))
     return rows

@@ -26,7 +26,7 @@ from plate_sim import (
     simulate,
 )
 from plate_sim.world import STEP
-from stages.learning import hung
+from stages.learning import rig_on_flexures
 from stages.pymunk_scene import PymunkScene
 
 KINDS = ("apart", "rotating", "touching", "touching and rotating", "suspension")
@@ -81,7 +81,8 @@ class Scene:
         speed = np.random.default_rng(3).normal(0, 0.08 if touching else 0.03, (count, 2))
         ids = tuple(f"black_{i + 1}" for i in k)
         return cls(
-            kind, hung(rig) if kind == "suspension" else rig, shaking(ANGLE if rotates else 0.0),
+            kind, rig_on_flexures(rig) if kind == "suspension" else rig,
+            shaking_cycle(ANGLE if rotates else 0.0),
             replace(WorldState.at_rest(ids, place - place.mean(0)), velocity=speed),
             Contacts(friction=EDGE_FRICTION if touching and rotates else 0.0),
         )  # fmt: skip
@@ -128,7 +129,7 @@ class Scene:
         )  # fmt: skip
 
 
-def shaking(rotation: float) -> PlateCycle:
+def shaking_cycle(rotation: float) -> PlateCycle:
     """Return a motion of several harmonics along x and y, and rotations of about `rotation`
     [rad]."""
     t, h = np.arange(96) / 96, np.arange(1, HARMONICS + 1)[:, None, None]

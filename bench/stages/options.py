@@ -59,14 +59,14 @@ def measure(quick: bool) -> Result:
 def rows_of(rig: Rig, parts: int, count: int) -> list[dict[str, Any]]:
     """Run all methods with one number of parts. The first request is not counted."""
     rng = np.random.default_rng(SEED + parts)
-    runners = contestants(rig, parts)
-    goals = [request(rig, parts, rng) for _ in range(count + 1)]
+    runners = make_contestants(rig, parts)
+    goals = [make_request(rig, parts, rng) for _ in range(count + 1)]
     requested = [np.mean((goal.displacement / period_of(parts)) ** 2) for goal in goals[1:]]
     found: dict[tuple[str, str], list[tuple[float, float]]] = {key: [] for key in runners}
     for goal in goals:
         for key, run in runners.items():
             cycle, seconds = timed(run, goal)
-            found[key].append((1e3 * seconds, miss(rig, goal, cycle)))
+            found[key].append((1e3 * seconds, drift_error(rig, goal, cycle)))
     rows = []
     for (method, option), pairs in found.items():
         ms, missed = np.array(pairs[1:]).T
@@ -90,7 +90,7 @@ def period_of(parts: int) -> float:
     return SinusoidSolver(load_rig()).steering_period(parts)
 
 
-def request(rig: Rig, parts: int, rng: np.random.Generator) -> Goal:
+def make_request(rig: Rig, parts: int, rng: np.random.Generator) -> Goal:
     """Return a request for drifts of parts at rest."""
     position = random_positions(rig, parts, rng)
     still, period = np.zeros_like(position), period_of(parts)
@@ -98,7 +98,7 @@ def request(rig: Rig, parts: int, rng: np.random.Generator) -> Goal:
     return Goal(position, still, displacement, still, np.array([rig.friction.accel]))
 
 
-def miss(rig: Rig, goal: Goal, cycle: PlateCycle) -> float:
+def drift_error(rig: Rig, goal: Goal, cycle: PlateCycle) -> float:
     """Return the mean square error of the simulated drift [(m/s)^2]."""
     run = simulate(cycle, goal.position, goal.velocity, rig.friction.mu, rig.friction.gravity)
     drift = (run.position[-1] - goal.position) / cycle.period
@@ -106,26 +106,28 @@ def miss(rig: Rig, goal: Goal, cycle: PlateCycle) -> float:
     return float(np.mean((drift_requested - drift) ** 2))
 
 
-def good_enough(goal: Goal) -> tuple[float, float]:
+def tolerances(goal: Goal) -> tuple[float, float]:
     """Return the tolerance of a request and the maximum error of a met request [m], both as in
     `Controller`."""
     tolerance = DRIFT_TOLERANCE * period_of(len(goal.position))
     return tolerance, max(EXACT_MISS * goal.size, tolerance)
 
 
-def contestants(rig: Rig, parts: int) -> dict[tuple[str, str], Contestant]:
+def make_contestants(rig: Rig, parts: int) -> dict[tuple[str, str], Contestant]:
     """Return functions that solve requests for a number of parts, by method and option."""
     found: dict[tuple[str, str], Contestant] = {}
     for restarts in B_RESTARTS:
         b = SinusoidSolver(rig, **EFFORT["sinusoids"] | {"restarts": restarts})
-        found["B", f"{restarts} restarts"] = steered(b)
+        found["B", f"{restarts} restarts"] = steered_contestant(b)
     for restarts in A_RESTARTS:
         a = RotationSolver(rig, **EFFORT["rotations"] | {"restarts": restarts})
-        found["A", f"{restarts} restarts"] = steered(a)
+        found["A", f"{restarts} restarts"] = steered_contestant(a)
     number, period = HARMONICS[parts], period_of(parts)
     b = SinusoidSolver(rig, harmonics=number, period=period, at_rest=True, restarts=3)
-    found["B", "paper's map"] = averaged(b, period)
-    found["A", "paper's map"] = averaged(RotationSolver(rig, period=period, restarts=1), period)
+    found["B", "paper's map"] = averaged_contestant(b, period)
+    found["A", "paper's map"] = averaged_contestant(
+        RotationSolver(rig, period=period, restarts=1), period
+    )
     for restarts in SCIPY_RESTARTS:
         for own, derivatives in ((True, "own differences"), (False, "our derivatives")):
             search = ScipySearch(rig, parts, own, restarts)
@@ -133,17 +135,17 @@ def contestants(rig: Rig, parts: int) -> dict[tuple[str, str], Contestant]:
     return found
 
 
-def steered(solver: SinusoidSolver | RotationSolver) -> Contestant:
+def steered_contestant(solver: SinusoidSolver | RotationSolver) -> Contestant:
     """Return a function that solves with the project's solver on the stick-slip map."""
 
     def run(goal: Goal) -> PlateCycle:
         solver.reset()
-        return solver.steer(goal, *good_enough(goal)).cycle
+        return solver.steer(goal, *tolerances(goal)).cycle
 
     return run
 
 
-def averaged(solver: SinusoidSolver | RotationSolver, period: float) -> Contestant:
+def averaged_contestant(solver: SinusoidSolver | RotationSolver, period: float) -> Contestant:
     """Return a function that solves with the project's solver on the paper's averaged forces. From
     rest, a force f moves a part by f mu g T^2 / 2."""
 
@@ -177,7 +179,7 @@ class ScipySearch:
     def answer(self, goal: Goal) -> PlateCycle:
         """Return the best motion of all starts, within the limits."""
         rng = np.random.default_rng(0)
-        _, good = good_enough(goal)
+        _, good = tolerances(goal)
         best: Any = None
         for _ in range(self._restarts + 1):
             found = least_squares(

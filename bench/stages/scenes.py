@@ -101,7 +101,7 @@ def exact_cycle(gamma: float, spin: float = 0.0) -> PlateCycle:
     return wave_cycle(FREQUENCY, speed, late=np.array([0.0, 0.0, 0.5 * np.pi]))
 
 
-def alike(gamma: float, count: int) -> Scene:
+def resting_scene(gamma: float, count: int) -> Scene:
     """Return the exact scene, in which all parts start at rest."""
     position = np.random.default_rng(0).uniform(-0.1, 0.1, (count, 2))
     return Scene(exact_cycle(gamma), position, np.zeros((count, 2)))
@@ -109,7 +109,7 @@ def alike(gamma: float, count: int) -> Scene:
 
 def random_directions(gamma: float, count: int) -> Scene:
     """Return the exact scene with random initial velocities of the parts."""
-    scene = alike(gamma, count)
+    scene = resting_scene(gamma, count)
     velocity = np.random.default_rng(1).normal(0, SPEED, (count, 2))
     return Scene(scene.cycle, scene.position, velocity)
 

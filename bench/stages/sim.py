@@ -16,7 +16,16 @@ from plate_sim.friction import TOLERANCE
 from plate_sim.world import STEP
 from stages.mujoco_scene import MujocoScene
 from stages.pymunk_scene import PymunkScene
-from stages.scenes import CYCLES, EXACT_M, FREQUENCY, MU, MU_G, Scene, alike, random_directions
+from stages.scenes import (
+    CYCLES,
+    EXACT_M,
+    FREQUENCY,
+    MU,
+    MU_G,
+    Scene,
+    random_directions,
+    resting_scene,
+)
 from stages.tray import tray_rows
 
 EVENTS, STEPS, PYMUNK, MUJOCO = "by events", "in steps", "pymunk", "MuJoCo"
@@ -77,7 +86,7 @@ def error_rows(quick: bool) -> list[dict[str, Any]]:
     speed of the simulation."""
     rows = []
     for gamma, exact in EXACT_M.items():
-        for method, setting, errors, run, span in settings(alike(gamma, 1), exact, quick):
+        for method, setting, errors, run, span in settings(resting_scene(gamma, 1), exact, quick):
             timed = race({"": run}, 0.1 if quick else 0.4)
             rows.append(
                 {

@@ -21,7 +21,7 @@ from plate_planner import Planner
 from plate_sim import Camera, part_greys, run_cycle
 from plate_solver import Controller
 from plate_vision import Tracker, make_vision, observe
-from tasks.runs import sorting
+from tasks.runs import sorting_scenario
 
 PARTS = (1, 2, 4, 6, 8, 10, 16)
 IMAGES = 40
@@ -39,7 +39,7 @@ def measure(quick: bool) -> Result:
     rig = load_rig()
     rows = []
     for parts in (2, 10) if quick else PARTS:
-        scenario = sorting(parts)
+        scenario = sorting_scenario(parts)
         moments = list(islice(run(Setup(scenario), rig), 15 if quick else IMAGES))
         rows.append(stages_row(rig, scenario, moments))
     return Result([Table.of("stages", rows)])

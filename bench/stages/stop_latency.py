@@ -30,7 +30,7 @@ from plate_core.ros import DATA, LATCHED, cycle_to_msg, to_time
 from plate_core.serial_protocol import Reader, Stop, parse
 from plate_core.tasks import load_scenario
 from plate_interfaces.msg import DriverStatus
-from stages.device import PERIOD_S, device, shaking
+from stages.device import PERIOD_S, run_device, shaking_table
 
 MAX_MS = 50.0
 """Maximum allowed latency from the call to the line [ms]."""
@@ -39,7 +39,7 @@ STOPS, QUICK_STOPS = 30, 3
 START_S = 60.0
 
 
-def serve(link: str, ready: Event, done: Event, stops: Any) -> None:
+def serve_stops(link: str, ready: Event, done: Event, stops: Any) -> None:
     """Run the device. For each new Stop frame, put two times [s] into `stops`: the time of the poll
     that received the frame, and the time of the previous poll.
 
@@ -47,7 +47,7 @@ def serve(link: str, ready: Event, done: Event, stops: Any) -> None:
     process gets no CPU time.
     """
     reader, last, last_poll = Reader(), -1, time.monotonic()
-    for data in device(link, ready, done):
+    for data in run_device(link, ready, done):
         now = time.monotonic()
         reader, packets = reader.fed(data)
         for packet in map(parse, packets):
@@ -103,7 +103,7 @@ class Bench(Listener):
         # publish additional cycles; if `period_s` is None, only the solver publishes cycles
         if period_s is not None:
             cycles = self.node.create_publisher(JointTrajectory, "plate_cycle", DATA)
-            table = shaking(64, 5e-4)
+            table = shaking_table(64, 5e-4)
 
             def send() -> None:
                 cycles.publish(cycle_to_msg(table.cycle, to_time(time.time_ns())))
@@ -133,7 +133,7 @@ class Bench(Listener):
         self.plate.start(load_scenario("sort_10"), START_S)
 
 
-def latencies(
+def measure_latencies(
     count: int, domain: int, points: int = 0, pause_s: float = 0.1, period_s: float = PERIOD_S,
     busy: int = 0, graph: bool = False, **options: Any,
 ) -> list[tuple[float, float]]:  # fmt: skip
@@ -151,7 +151,7 @@ def latencies(
     unheard = dict.fromkeys((ONE_PROCESS, "simulator"), ("simulator:cycle_started", "unheard"))
     with tempfile.TemporaryDirectory() as folder:
         link = str(Path(folder) / "port")
-        process = context.Process(target=serve, args=(link, ready, done, stops), daemon=True)
+        process = context.Process(target=serve_stops, args=(link, ready, done, stops), daemon=True)
         process.start()
         ready.wait(START_S)
         run = RunOptions(transport="serial", port=link, hardware=True, **options)
@@ -166,16 +166,16 @@ def latencies(
                 processes.add(others)
                 bench.until(lambda: not points or "flood" in bench.node.get_node_names(), START_S)
                 for number in range(count):
-                    found += one(bench, stops, number, graph)
+                    found += measure_stops(bench, stops, number, graph)
         finally:
             done.set()
             process.join(10)
     return found
 
 
-def one(bench: Bench, stops: Any, number: int, task: bool) -> list[tuple[float, float]]:
+def measure_stops(bench: Bench, stops: Any, number: int, task: bool) -> list[tuple[float, float]]:
     """Enable the motors, start a task if requested, play cycles for a while, and stop the motors.
-    Return the bounds of the latency as in `latencies` [ms]."""
+    Return the bounds of the latency as in `measure_latencies` [ms]."""
     if not bench.is_enabled():
         return []
     if task:
@@ -203,7 +203,7 @@ def measure(quick: bool) -> Result:
         rclpy.init(domain_id=domain)
         stack.callback(rclpy.try_shutdown)
         for name, condition in CONDITIONS.items():
-            times = latencies(QUICK_STOPS if quick else STOPS, domain, **condition)
+            times = measure_latencies(QUICK_STOPS if quick else STOPS, domain, **condition)
             rows.append({
                 "condition": name, "stops": len(times),
                 "median_ms": float(np.median([high for high, _ in times])) if times else None,

@@ -49,7 +49,7 @@ MUJOCO_MAX = 100
 """Maximum number of discs for MuJoCo. With more it takes too long."""
 
 
-def shaken(count: int) -> Scene:
+def tray_scene(count: int) -> Scene:
     """Return the tray with `count` discs."""
     columns, lines = GRIDS[count]
     x = np.arange(columns) - 0.5 * (columns - 1)
@@ -60,7 +60,7 @@ def shaken(count: int) -> Scene:
     return Scene(exact_cycle(20), place, speed)
 
 
-def ours(tray: Scene, steps: int, samples: int = 0) -> BodyTrajectory:
+def simulate_discs(tray: Scene, steps: int, samples: int = 0) -> BodyTrajectory:
     """Simulate the discs with plate_sim, with given numbers of steps and samples per cycle."""
     return simulate_bodies(
         tray.cycle, DISC, tray.position, 0, tray.velocity, 0, MU, GRAVITY, CYCLES, samples,
@@ -68,9 +68,9 @@ def ours(tray: Scene, steps: int, samples: int = 0) -> BodyTrajectory:
     )  # fmt: skip
 
 
-def our_trace(tray: Scene, steps: int) -> np.ndarray:
+def simulate_trace(tray: Scene, steps: int) -> np.ndarray:
     """Return plate_sim's positions in the plate's frame after every step (k, M, 2) [m]."""
-    run = ours(tray, steps, steps)
+    run = simulate_discs(tray, steps, steps)
     t = np.arange(1, len(run.time)) % steps * (tray.cycle.period / steps)
     return np.asarray(run.position[1:] - tray.cycle.pose(t)[:, None, :2])
 
@@ -101,7 +101,7 @@ class PymunkTray(PymunkScene):
         return path
 
 
-def overlap(path: np.ndarray) -> float:
+def max_overlap(path: np.ndarray) -> float:
     """Return the maximum overlap of two discs, or of a disc and a wall, at any step (k, M, 2)
     [m]."""
     i, j = np.triu_indices(path.shape[1], 1)
@@ -112,7 +112,7 @@ def overlap(path: np.ndarray) -> float:
 def tray_rows(quick: bool) -> list[dict[str, Any]]:
     """Measure speed and overlap in the tray, by number of discs and step."""
     counts = (10, 100) if quick else GRIDS
-    return [row for count in counts for row in disc_rows(shaken(count), quick)]
+    return [row for count in counts for row in disc_rows(tray_scene(count), quick)]
 
 
 def disc_rows(tray: Scene, quick: bool) -> list[dict[str, Any]]:
@@ -137,14 +137,14 @@ def disc_rows(tray: Scene, quick: bool) -> list[dict[str, Any]]:
     ]
 
     def trace(name: str, n: int) -> np.ndarray:
-        return our_trace(tray, n) if name == PROJECT else np.asarray(build[name](n).trace())
+        return simulate_trace(tray, n) if name == PROJECT else np.asarray(build[name](n).trace())
 
     times: dict[tuple[str, int], list[float]] = {case: [] for case in cases}
     for _ in range(1 + (MIN_ROUNDS if quick else 7)):
         for (name, n), spent in times.items():
             if name == MUJOCO and len(spent) > 1:
                 continue  # MuJoCo is timed only once, because MuJoCo is slow
-            run = partial(ours, tray, n) if name == PROJECT else build[name](n).run
+            run = partial(simulate_discs, tray, n) if name == PROJECT else build[name](n).run
             repeats = REPEATS if name == PROJECT else 1
             began = cpu_time()
             for _ in range(repeats):
@@ -154,7 +154,7 @@ def disc_rows(tray: Scene, quick: bool) -> list[dict[str, Any]]:
         {
             "parts": len(tray.position), "method": name, "step_ms": 1e3 / FREQUENCY / n,
             "speed": SPAN / float(np.median(spent[1:])),
-            "overlap_um": 1e6 * overlap(trace(name, n)),
+            "overlap_um": 1e6 * max_overlap(trace(name, n)),
         }
         for (name, n), spent in times.items()
     ]  # fmt: skip

@@ -23,7 +23,7 @@ from plate_sim.world import STEP
 from stages.mujoco_scene import MASS, MujocoScene
 from stages.pymunk_scene import PymunkScene
 from stages.scenes import FREQUENCY, GRAVITY, MU, MU_G, RADIUS, exact_cycle
-from tasks.runs import runs_of, summed
+from tasks.runs import cached_runs, summarise
 
 Method = tuple[str, float | None, Callable[[PlateCycle, float, float], float]]
 """One simulation method: name, time step [ms] or None, and a function. The function returns the
@@ -95,7 +95,7 @@ def measure(quick: bool) -> Result:
     there = [method for package, method in BASELINES if optional(package)]
     tables = [
         Table.of("creep", creep_rows([*PROJECT, *there], 0.5 if quick else CREEP_S), span=CREEP_S),
-        Table.of("left_out", neglected(load_rig())),
+        Table.of("left_out", neglected_effects(load_rig())),
         Table.of("worlds", world_rows(1 if quick else 3)),
     ]
     return Result(tables, missing("pymunk", "mujoco"))
@@ -113,43 +113,43 @@ def creep_rows(methods: list[Method], span: float) -> list[dict[str, Any]]:
     return rows
 
 
-def tilted(pull: float) -> Ground:
+def tilted_ground(pull: float) -> Ground:
     """Return the ground whose tilt pulls parts along x with this acceleration [mu g]."""
     return Ground(tilt=(float(np.arcsin(pull * MU)), 0.0))
 
 
-def by_events(cycle: PlateCycle, pull: float, span: float) -> float:
+def drift_by_events(cycle: PlateCycle, pull: float, span: float) -> float:
     """Return the drift of a point by the event-driven reference [m]. The plate ends at home."""
     cycles = round(span * FREQUENCY)
     start = cycle.twist(0.0)[:, :2]
-    run = simulate(cycle, HOME, start, MU, GRAVITY, cycles, 1, ground=tilted(pull))
+    run = simulate(cycle, HOME, start, MU, GRAVITY, cycles, 1, ground=tilted_ground(pull))
     return float(run.position[-1, 0, 0])
 
 
-def in_steps(part: Footprint, cycle: PlateCycle, pull: float, span: float) -> float:
+def drift_in_steps(part: Footprint, cycle: PlateCycle, pull: float, span: float) -> float:
     """Return the drift of a part in the simulator's `World` [m]."""
     start, cycles = cycle.twist(0.0)[:, :2], round(span * FREQUENCY)
     run = simulate_bodies(
-        cycle, part, HOME, 0, start, 0, MU, GRAVITY, cycles, 0, ground=tilted(pull)
+        cycle, part, HOME, 0, start, 0, MU, GRAVITY, cycles, 0, ground=tilted_ground(pull)
     )  # fmt: skip
     return float(run.position[-1, 0, 0])
 
 
-def in_pymunk(dt: float, cycle: PlateCycle, pull: float, span: float) -> float:
+def drift_in_pymunk(dt: float, cycle: PlateCycle, pull: float, span: float) -> float:
     """Return the drift in pymunk [m]."""
     scene = PymunkScene(cycle, dt, span, HOME, MU_G, cycle.twist(0.0)[:, :2])
     scene.space.gravity = pull * MU_G, 0.0
     return float(scene.run()[0, 0] - scene.plate.position.x)
 
 
-def in_joints(dt: float, cycle: PlateCycle, pull: float, span: float) -> float:
+def drift_in_joints(dt: float, cycle: PlateCycle, pull: float, span: float) -> float:
     """Return the drift in MuJoCo with friction of joints, as in the scene of `sim` [m]."""
     scene = MujocoScene(cycle, dt, span, HOME, MU, cycle.twist(0.0)[:, :2])
     scene.shake[:, 0] += pull * MU_G
     return float(scene.run()[0, 0] - scene.moved[0])
 
 
-def in_contact(
+def drift_in_contact(
     dt: float, cycle: PlateCycle, pull: float, span: float, impratio: float = 1.0, noslip: int = 0,
 ) -> float:  # fmt: skip
     """Return the drift in MuJoCo of a cylinder on a plane, in the plate's frame [m]."""
@@ -170,26 +170,26 @@ def in_contact(
 
 
 PROJECT: list[Method] = [
-    ("plate_sim, point by events", None, by_events),
-    ("plate_sim, disc", 1e3 * STEP, partial(in_steps, disc(RADIUS))),
-    ("plate_sim, square", 1e3 * STEP, partial(in_steps, SQUARE)),
+    ("plate_sim, point by events", None, drift_by_events),
+    ("plate_sim, disc", 1e3 * STEP, partial(drift_in_steps, disc(RADIUS))),
+    ("plate_sim, square", 1e3 * STEP, partial(drift_in_steps, SQUARE)),
 ]
 
 BASELINES: list[tuple[str, Method]] = [
     (package, (name, ms, partial(run, 1e-3 * ms)))
     for package, name, run in (
-        ("pymunk", "pymunk, pivot of limited force", in_pymunk),
-        ("mujoco", "MuJoCo, dry friction of joints", in_joints),
-        ("mujoco", "MuJoCo, contact", in_contact),
-        ("mujoco", "MuJoCo, contact, impratio 100", partial(in_contact, impratio=100.0)),
-        ("mujoco", "MuJoCo, contact, 10 noslip iterations", partial(in_contact, noslip=10)),
+        ("pymunk", "pymunk, pivot of limited force", drift_in_pymunk),
+        ("mujoco", "MuJoCo, dry friction of joints", drift_in_joints),
+        ("mujoco", "MuJoCo, contact", drift_in_contact),
+        ("mujoco", "MuJoCo, contact, impratio 100", partial(drift_in_contact, impratio=100.0)),
+        ("mujoco", "MuJoCo, contact, 10 noslip iterations", partial(drift_in_contact, noslip=10)),
     )
     for ms in (1.0, 0.1)
 ]
 """Required package, and method."""
 
 
-def neglected(rig: Rig) -> list[dict[str, str]]:
+def neglected_effects(rig: Rig) -> list[dict[str, str]]:
     """Return the effects that the simulator neglects on a rig, with their sizes by formulas."""
     mu, g, m, r = rig.friction.mu, rig.friction.gravity, rig.parts.mass_kg, rig.parts.radius_m
     a, s = rig.limits.accel, 2 / pi * rig.limits.speed
@@ -252,8 +252,8 @@ def world_rows(seeds: int) -> list[dict[str, Any]]:
         for task in ("sort_4", "sort_10"):
             cases[name, task] = [(Setup(task, k), settings, load_rig()) for k in range(seeds)]
     rows: dict[str, dict[str, Any]] = {}
-    for (world, task), runs in runs_of(Cache.of(__name__), cases).items():
-        found = summed(runs)
+    for (world, task), runs in cached_runs(Cache.of(__name__), cases).items():
+        found = summarise(runs)
         time_s = "" if found["time_s"] is None else f", {found['time_s']:.3g} s"
         lost = f", {found['dropped']} lost" if found["dropped"] else ""
         rows.setdefault(world, {"world": world})[task] = found["succeeded"] + time_s + lost

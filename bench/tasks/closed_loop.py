@@ -8,7 +8,7 @@ from harness import Cache, Result, Table, of_median, rate_text
 from plate_bringup.loop import Setup
 from plate_core import load_rig
 from plate_core.tasks import load_scenario
-from tasks.runs import UNEVEN, Loop, median, runs_of
+from tasks.runs import UNEVEN, Loop, cached_runs, median
 
 SEEDS = {
     "sort_10": 100, "sort_16": 40, "sort_24": 20, "sort_32": 10, "sort_50": 3,
@@ -28,7 +28,7 @@ def measure(quick: bool) -> Result:
     for scenario, count in counts.items():
         rig, seeds = load_rig(load_scenario(scenario).rig), range(FIRST_SEED, FIRST_SEED + count)
         cases[scenario] = [(Setup(scenario, seed), UNEVEN, rig) for seed in seeds]
-    rows = [row(*found) for found in runs_of(Cache.of(__name__), cases).items()]
+    rows = [row(*found) for found in cached_runs(Cache.of(__name__), cases).items()]
     return Result([Table.of("tasks", rows, gamma=rig.gamma, seed=FIRST_SEED)])
 
 
@@ -41,13 +41,13 @@ def row(scenario: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
         "task": f"`{scenario}`",
         "well": rate_text(len(good), len(runs)),
         "time": f"{middle:.1f} s, {low:.1f} to {high:.1f} ({max(times):.1f})",
-        "error": error(good),
+        "error": error_text(good),
         "dropped": sum(run["dropped"] for run in runs),
         "step": median([run["step_ms_median"] for run in runs]),
     }
 
 
-def error(runs: list[dict[str, Any]]) -> str:
+def error_text(runs: list[dict[str, Any]]) -> str:
     """Return a text with the errors of the runs: errors of paths or positions, and errors of
     angles."""
     sentences = []

@@ -17,7 +17,7 @@ from plate_bringup.loop import Direct, Setup, summary, with_settings
 from plate_core import PlateCycle, load_rig
 from plate_core.motion import quintic_pieces
 from plate_sim import PlateMotion
-from tasks.runs import UNEVEN, median, summed
+from tasks.runs import UNEVEN, median, summarise
 
 DRIVES = ("interpolated", "held, with its speed", "held")
 """Kinds of drives. `interpolated`: the position target moves along a straight line to the setpoint
@@ -66,28 +66,28 @@ class Driven(Direct):
                 last = self._sent[-1][0] if self._sent else due
                 self._sent.append((max(due, last), pose[k], twist[k]))
             while self._sent and self._sent[0][0] < t + STEP_S / 2:
-                self._from, self._into = self._target(), 0
+                self._from, self._into = self._target_pose(), 0
                 _, self._goal, self._speed = self._sent.pop(0)
-            states.append(self._followed(times[1]))
+            states.append(self._advance_plate(times[1]))
             self._steps += 1
         self.squares += np.sum((np.array(states)[:, 0, :2] - pose[:, :2]) ** 2, axis=1).tolist()
         return [PlateMotion(times, quintic_pieces(times, *np.stack(states, axis=1)))]
 
-    def _target(self) -> np.ndarray:
+    def _target_pose(self) -> np.ndarray:
         fraction = min(self._into / BUS_STEPS, 1) if self._interpolates else 1
         fed = 2 / self._rate * self._speed if self._fed else 0
         return self._from + (self._goal - self._from) * fraction + fed
 
-    def _followed(self, dt: float) -> np.ndarray:
+    def _advance_plate(self, dt: float) -> np.ndarray:
         """Advance the plate by a time step, and return its state (3, 3): pose, twist and
         acceleration."""
-        before, self._into = self._target(), self._into + 1
-        slope, rate = (self._target() - before) / dt, self._rate
+        before, self._into = self._target_pose(), self._into + 1
+        slope, rate = (self._target_pose() - before) / dt, self._rate
         behind = self._state[0] - before
         push, fade = self._state[1] - slope + rate * behind, np.exp(-rate * dt)
         behind = (behind + push * dt) * fade
         speed = push * fade - rate * behind
-        place = self._target() + behind
+        place = self._target_pose() + behind
         self._state = np.stack([place, slope + speed, -rate * (2 * speed + rate * behind)])
         return self._state
 
@@ -115,7 +115,7 @@ def measure(quick: bool) -> Result:
         work[drive, changed, value] = [(drive, seed, bus) for seed in seeds]
     rows = [
         {"drive": drive, "changed": changed, "value": value}
-        | summed(runs)
+        | summarise(runs)
         | {"plate_um": median([one["plate_um"] for one in runs])}
         for (drive, changed, value), runs in by_case(driven_run, work, Cache.of(__name__)).items()
     ]

@@ -42,14 +42,14 @@ def measure(quick: bool) -> Result:
     time_s, every_s = (QUICK_S, QUICK_S / 2) if quick else (HOUR_S, EVERY_S)
     rows: list[dict[str, Any]] = []
 
-    def note(cell: FeederCell) -> None:
+    def record_cell(cell: FeederCell) -> None:
         if cell.simulation is not None and cell.tally.time_s >= every_s * (len(rows) + 1):
             task = cell.feeder.task
             rows.append(row(Production.of(cell.tally, cell.robot, cell.simulation, task), cell))
             print(f"{cell.tally.time_s / 60:.0f} min ... ", end="", flush=True)
 
     setup = Setup(filled(load_scenario(RECIPE), FILL), SEED, disturbances=WORLD)
-    found = produce(setup, CYCLE_S, time_s, note=note)
+    found = produce(setup, CYCLE_S, time_s, note=record_cell)
     text = (
         f"{found.picks} parts in {time_s / 60:g} minutes, {found.failed} picks failed, "
         f"{found.discharged} to the chute, {found.lost} lost; the robot waited "

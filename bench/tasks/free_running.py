@@ -10,7 +10,7 @@ from __future__ import annotations
 from harness import Cache, Result, Table
 from plate_bringup.loop import Setup
 from plate_core import load_rig
-from tasks.runs import UNEVEN, runs_of, summed
+from tasks.runs import UNEVEN, cached_runs, summarise
 
 USUAL = {"image_rate": 30.0, "exposure_s": 0.01, "latency": 0.04, "stamp_jitter": 0.005}
 """Default values of the camera."""
@@ -48,8 +48,8 @@ def measure(quick: bool) -> Result:
         seeds = range(FIRST_SEED, FIRST_SEED + SEEDS)
         cases[case] = [(Setup("follow_2", seed), settings, rig) for seed in seeds]
     rows = []
-    for (changed, value), runs in runs_of(Cache.of(__name__), cases).items():
-        found = summed(runs)
+    for (changed, value), runs in cached_runs(Cache.of(__name__), cases).items():
+        found = summarise(runs)
         kept = found["good"] == found["runs"] and found["rms_mm"] <= ALLOWED_MM
         rows.append({"changed": changed, "value": value, **found, "kept": kept})
     usual = ", ".join(f"{key} {value:g}" for key, value in USUAL.items())

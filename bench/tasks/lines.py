@@ -13,7 +13,7 @@ from plate_core.motion import HOLD_CYCLES
 from plate_core.serial_protocol import State
 from plate_driver.transports import Condition, SerialTransport
 from plate_sim.device import DeviceLimits, Emulator, FaultSchedule, LineFaults
-from stages.device import PERIOD_S, shaking
+from stages.device import PERIOD_S, shaking_table
 
 BAUDS = (57_600, 115_200, 230_400, 460_800, 921_600)
 LOST = (0.0, 0.01, 0.03, 0.05)
@@ -37,7 +37,7 @@ def line_run(baud: int, lost: float, delay_s: float, play_s: float, stops: int) 
     emulator = Emulator(DeviceLimits.of_rig(load_rig()), 1, FaultSchedule(trouble))
     transport = SerialTransport(lambda: Port(emulator), lambda: emulator.now, 1, baud=float(baud))
     operator = Operator(transport)
-    tables = [shaking(PIECES, size) for size in (5e-4, 6e-4)]
+    tables = [shaking_table(PIECES, size) for size in (5e-4, 6e-4)]
     transport.open()
     played: list[int] = []
     sent, due = [0], [0.0]

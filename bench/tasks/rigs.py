@@ -17,7 +17,7 @@ from plate_bringup.loop import Setup
 from plate_bringup.rehearsal import rehearse_task
 from plate_core import Rig, load_rig
 from plate_core.tasks import load_scenario
-from tasks.runs import UNEVEN, runs_of, summed
+from tasks.runs import UNEVEN, cached_runs, summarise
 
 RATIOS = (2, 3, 5, 10)
 """Shaking ratios of the default plate: its acceleration `accel_mps2` divided by mu g."""
@@ -43,7 +43,7 @@ def measure(quick: bool) -> Result:
     cache, seeds = Cache.of(__name__), SEEDS[:1] if quick else SEEDS
     kinds = {
         (name, "follow_2_desk" if (name, task) == ("desk", "follow_2") else task): rig
-        for name, rig in rigs().items()
+        for name, rig in compared_rigs().items()
         for task in (SCENARIOS[:1] if quick else SCENARIOS)
     }
     predicted_cases = {(*kind, "feasible"): [(rig, kind[1])] for kind, rig in kinds.items()}
@@ -53,28 +53,28 @@ def measure(quick: bool) -> Result:
     }
     rows = [
         {"rig": kind[0], "gamma": kinds[kind].gamma, "scenario": kind[1]}
-        | summed(runs)
+        | summarise(runs)
         | prediction[0]
         for (kind, runs), prediction in zip(
-            runs_of(cache, cases).items(), predictions.values(), strict=True
+            cached_runs(cache, cases).items(), predictions.values(), strict=True
         )
     ]
     facts = {"first": seeds[0], "last": seeds[-1]}
-    return Result([Table.of("rigs", rows, **facts), Table.of("by_rig", by_rig(rows), **facts)])
+    return Result([Table.of("rigs", rows, **facts), Table.of("by_rig", rig_rows(rows), **facts)])
 
 
-def rigs() -> dict[str, Rig]:
+def compared_rigs() -> dict[str, Rig]:
     """Return the compared rigs by name."""
     default = load_rig()
 
-    def limited(**limits: float) -> Rig:
+    def limited_rig(**limits: float) -> Rig:
         return replace(default, limits=replace(default.limits, **limits))
 
     return {
-        **{f"Gamma {g:g}": limited(accel=g * default.friction.accel) for g in RATIOS},
+        **{f"Gamma {g:g}": limited_rig(accel=g * default.friction.accel) for g in RATIOS},
         "default": default,
-        **{f"stroke {s:g} mm": limited(stroke_m=1e-3 * s) for s in STROKES_MM},
-        **{f"motors {p} N": limited(force=p, continuous_force=c) for p, c in FORCES_N},
+        **{f"stroke {s:g} mm": limited_rig(stroke_m=1e-3 * s) for s in STROKES_MM},
+        **{f"motors {p} N": limited_rig(force=p, continuous_force=c) for p, c in FORCES_N},
         "four voice coils": load_rig("voice_coils"),
         "desk": load_rig("desk"),
     }
@@ -90,7 +90,7 @@ def predicted(rig: Rig, scenario: str) -> dict[str, Any]:
     }
 
 
-def by_rig(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def rig_rows(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return a row for each rig with the results of all tasks. Each result is followed by the
     prediction of `feasible` in brackets."""
     found: dict[str, dict[str, Any]] = {}

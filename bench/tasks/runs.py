@@ -22,7 +22,7 @@ Loop = tuple[Setup, Mapping[str, str], Rig]
 """Setup of a run, settings of `bench/closed_loop.py`, and rig."""
 
 
-def sorting(count: int) -> Scenario:
+def sorting_scenario(count: int) -> Scenario:
     """Return a scenario like `sort_10` with `count` parts, half of them black."""
     scenario = load_scenario("sort_10")
     assert isinstance(scenario.task, SortTask)
@@ -34,7 +34,9 @@ def sorting(count: int) -> Scenario:
     return replace(scenario, parts=parts, task=task, time_limit_s=900.0)
 
 
-def runs_of(cache: Cache, cases: Mapping[Any, Sequence[Loop]]) -> dict[Any, list[dict[str, Any]]]:
+def cached_runs(
+    cache: Cache, cases: Mapping[Any, Sequence[Loop]]
+) -> dict[Any, list[dict[str, Any]]]:
     """Return a row as in `bench/closed_loop.py` for each run, by case. Only runs that are not in
     the cache are executed."""
     work = {
@@ -44,7 +46,7 @@ def runs_of(cache: Cache, cases: Mapping[Any, Sequence[Loop]]) -> dict[Any, list
     return by_case(summary, work, cache)
 
 
-def summed(runs: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
+def summarise(runs: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
     """Return one row for the runs of a case. A value for which no run has data is None.
 
     Times of the task are simulated times of successful runs. `most` and `worst` are values of the

@@ -80,33 +80,33 @@ VARIATIONS = {
 def measure(quick: bool) -> Result:
     """Run all variations. A quick measurement uses only two seeds."""
     cache, seeds = Cache.of(__name__), SEEDS[:2] if quick else SEEDS
-    reference = traces("quiet", Variation(), seeds, cache)
+    reference = cached_traces("quiet", Variation(), seeds, cache)
     rows: list[dict[str, Any]] = []
     for name, variation in VARIATIONS.items():
         if not variation.possible:
             continue
-        found = traces(name, variation, seeds, cache)
+        found = cached_traces(name, variation, seeds, cache)
         settings = " ".join(f"{key}='{value}'" for key, value in variation.settings.items())
         for scenario in SCENARIOS:
             pairs = list(zip(reference[scenario], found[scenario], strict=True))
             row = {"variation": name, "settings": settings, "scenario": scenario}
-            rows.append(row | compared(pairs))
+            rows.append(row | compare_traces(pairs))
     alike = " ".join(f"{key}='{value}'" for key, value in ALIKE.items())
     return Result([Table.of("sameness", rows, seeds=len(seeds), alike=alike)])
 
 
-def traces(
+def cached_traces(
     name: str, variation: Variation, seeds: range, cache: Cache
 ) -> dict[str, list[list[str]]]:
     """Return the traces of every scenario in a variation, by seed. Only runs that are not in the
     cache are executed."""
     work = {(name, scenario): [(scenario, seed) for seed in seeds] for scenario in SCENARIOS}
-    with surroundings(variation):
-        found = by_case(trace, work, cache, variation.workers)
+    with environment_of(variation):
+        found = by_case(run_trace, work, cache, variation.workers)
     return {scenario: runs for (_, scenario), runs in found.items()}
 
 
-def trace(scenario: str, seed: int) -> list[str]:
+def run_trace(scenario: str, seed: int) -> list[str]:
     """Run the loop. Return the digests of each stage's output, one string per cycle."""
     return [" ".join(map(digest, made(moment))) for moment in run(Setup(scenario, seed))]
 
@@ -127,7 +127,7 @@ def digest(arrays: list[np.ndarray]) -> str:
     return hashlib.blake2b(b"".join(a.tobytes() for a in arrays), digest_size=4).hexdigest()
 
 
-def compared(pairs: list[tuple[list[str], list[str]]]) -> dict[str, Any]:
+def compare_traces(pairs: list[tuple[list[str], list[str]]]) -> dict[str, Any]:
     """Return the number of equal pairs of traces, and the first difference of the unequal pairs."""
     others = [pair for pair in pairs if pair[0] != pair[1]]
     row = {"runs": len(pairs), "same": len(pairs) - len(others), "piece": None, "cycle": None}
@@ -139,7 +139,7 @@ def compared(pairs: list[tuple[list[str], list[str]]]) -> dict[str, Any]:
 
 
 @contextmanager
-def surroundings(variation: Variation) -> Iterator[None]:
+def environment_of(variation: Variation) -> Iterator[None]:
     """Context in which new processes get the settings and the load of a variation."""
     before = dict(os.environ)
     with ExitStack() as stack:

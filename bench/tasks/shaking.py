@@ -85,14 +85,14 @@ def waveform() -> tuple[np.ndarray, np.ndarray]:
     return place, velocity
 
 
-def shaken(rig: Rig, axis: np.ndarray) -> PlateCycle:
+def strongest_cycle(rig: Rig, axis: np.ndarray) -> PlateCycle:
     """Return the strongest cycle that the rig allows along an axis (3,) of the plate's pose."""
     place, velocity = (1e-3 * wave[:, None] * axis for wave in waveform())
     cycle = PlateCycle.from_samples(PERIOD_S, place, velocity / PERIOD_S)
     return cycle.scaled(1 / usage(rig, cycle).overall)
 
 
-def conveyed(rig: Rig, cycle: PlateCycle, axis: int) -> np.ndarray:
+def conveyed_distances(rig: Rig, cycle: PlateCycle, axis: int) -> np.ndarray:
     """Return the distances (MAX_CYCLES,) [m] that a part moves along an axis in 1, 2, ... cycles,
     until it is at rest again."""
     distances = []
@@ -139,22 +139,24 @@ class Shaker:
             bare = np.stack([self.simulation.capture_bare() for _ in range(BARE_IMAGES)])
             self._vision = replace(self._vision, background=learn_plate(bare))
         centre = np.array([self.rig.plate.half[0] / 2, 0.0])
-        self._rotations = [shaken(self.rig, rotation_about(c)) for c in (centre, -centre)]
-        self._pushes = [shaken(self.rig, axis) for axis in np.eye(3)[:2]]
-        self._conveyed = [conveyed(self.rig, cycle, k) for k, cycle in enumerate(self._pushes)]
+        self._rotations = [strongest_cycle(self.rig, rotation_about(c)) for c in (centre, -centre)]
+        self._pushes = [strongest_cycle(self.rig, axis) for axis in np.eye(3)[:2]]
+        self._conveyed = [
+            conveyed_distances(self.rig, cycle, k) for k, cycle in enumerate(self._pushes)
+        ]
 
     def run(self, time_s: float) -> Production:
         """Run the production for a time [s]."""
-        steps = self._steps()
+        steps = self._cycles()
         while self.tally.time_s < time_s:
-            self._act()
-            self._play(next(steps))
+            self._perform_robot_actions()
+            self._simulate_cycle(next(steps))
         return Production.of(self.tally, self.robot, self.simulation, self.task)
 
-    def _steps(self) -> Iterator[PlateCycle]:
+    def _cycles(self) -> Iterator[PlateCycle]:
         """Yield the plate's cycles one after the other. The sequence is endless."""
         while True:
-            yield from self._thrown() if self.is_thrown else self._vibrated()
+            yield from self._throw_cycles() if self.is_thrown else self._vibration_cycles()
             while self._in_view:
                 yield self._rest
             image, stamp = None, self.tally.time_s
@@ -163,12 +165,12 @@ class Shaker:
                 image = self.simulation.capture() if image is None else image
             if image is not None:
                 self.parts = observe(self._vision, Tracker(), image, stamp, None).parts
-                self.listed = self._ready()
+                self.listed = self._grippable_parts()
             # rest while ready parts remain for the robot
             while self.listed or self.robot.place is not None:
                 yield self._rest
 
-    def _ready(self) -> list[tuple[float, float, float]]:
+    def _grippable_parts(self) -> list[tuple[float, float, float]]:
         """Return the parts that are allowed to be gripped."""
         found = np.zeros(len(self.parts), dtype=bool)
         gap = free_gap(self.parts, self.rig)
@@ -177,7 +179,7 @@ class Shaker:
         rows = np.flatnonzero(found)
         return [(*self.parts.position[i].tolist(), float(self.parts.angle[i])) for i in rows]
 
-    def _open(self) -> float:
+    def _open_hopper(self) -> float:
         """Open the hopper if parts are missing. Return the opening time [s]."""
         hopper, count = self.task.hopper, len(self.parts)
         if hopper is None or count >= hopper.least:
@@ -186,21 +188,21 @@ class Shaker:
         self.simulation.open_hopper(open_s)
         return open_s
 
-    def _thrown(self) -> Iterator[PlateCycle]:
-        ticks = max(THROW_TICKS, int(np.ceil(self._open() / TICK_S)))
+    def _throw_cycles(self) -> Iterator[PlateCycle]:
+        ticks = max(THROW_TICKS, int(np.ceil(self._open_hopper() / TICK_S)))
         for _ in range(ticks):
             yield self._rest
         state = self.simulation.state
         there = np.flatnonzero(state.on_plate)
         reach = np.array([self.rig.part_type(part_class(state.ids[i])).reach_m for i in there])
-        place = thrown(reach, self.rig.plate.half, self._rng)
+        place = random_positions(reach, self.rig.plate.half, self._rng)
         position, angle = state.position.copy(), state.angle.copy()
         position[there] = place
         angle[there] = self._rng.uniform(-np.pi, np.pi, len(there))
         self.simulation.state = replace(state, position=position, angle=angle)
 
-    def _vibrated(self) -> Iterator[PlateCycle]:
-        open_s, began = self._open(), self.tally.time_s
+    def _vibration_cycles(self) -> Iterator[PlateCycle]:
+        open_s, began = self._open_hopper(), self.tally.time_s
         mine = [part_class(name) == self.task.picks[0].label for name in self.parts.ids]
         if np.any(mine):
             low, high = pick_window(self.task.picks[0], self.rig)
@@ -208,15 +210,15 @@ class Shaker:
             for axis, cycle in enumerate(self._pushes):
                 far = CONVEY * abs(displacement[axis])
                 for _ in range(int(np.searchsorted(self._conveyed[axis], far))):
-                    yield cycle if displacement[axis] > 0 else mirrored(cycle)
+                    yield cycle if displacement[axis] > 0 else reverse_cycle(cycle)
         for cycle in self._rotations:
-            rotation = mirrored(cycle) if self._rng.random() < 0.5 else cycle
+            rotation = reverse_cycle(cycle) if self._rng.random() < 0.5 else cycle
             for _ in range(round(STIR_S / 2 / cycle.period)):
                 yield rotation
         while self.tally.time_s < began + open_s:
             yield self._rest
 
-    def _act(self) -> None:
+    def _perform_robot_actions(self) -> None:
         """Perform the robot's actions that are due."""
         while True:
             before = self.robot
@@ -239,7 +241,7 @@ class Shaker:
                 self.tally.gripped(before, result)
                 self.listed = self.listed[1:]
 
-    def _play(self, cycle: PlateCycle) -> None:
+    def _simulate_cycle(self, cycle: PlateCycle) -> None:
         """Simulate a cycle."""
         self.simulation.run(cycle)
         self.tally.time_s += cycle.period
@@ -250,12 +252,12 @@ def rotation_about(centre: np.ndarray) -> np.ndarray:
     return np.array([centre[1], -centre[0], 1.0])
 
 
-def mirrored(cycle: PlateCycle) -> PlateCycle:
+def reverse_cycle(cycle: PlateCycle) -> PlateCycle:
     """Return a cycle with the opposite direction of motion."""
     return cycle.scaled(-1.0)
 
 
-def thrown(reach: np.ndarray, half: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def random_positions(reach: np.ndarray, half: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Return random positions (M, 2) [m] of disjoint discs with the radii `reach` (M,) [m], on a
     plate with half side lengths (2,) [m]. A disc for which no free space is found overlaps
     others."""

@@ -13,7 +13,7 @@ from harness import Cache, Result, Table
 from plate_bringup.loop import Setup
 from plate_core import Rig, load_rig
 from plate_core.rig import Suspension, mass_matrix, modal_matrices
-from tasks.runs import UNEVEN, runs_of, summed
+from tasks.runs import UNEVEN, cached_runs, summarise
 
 FIRST_SEED = 20_000
 """First seed. No parameter of the project was chosen by runs with this seed or larger seeds."""
@@ -65,18 +65,18 @@ def measure(quick: bool) -> Result:
     """Run all cases."""
     rig, cases = load_rig(), {}
     for name, method, world, count in [("follow_2", "sinusoids", "dirt", 2)] if quick else CASES:
-        played = weak(rig) if WEAK in world or world == "all of these" else rig
+        played = weak_rig(rig) if WEAK in world or world == "all of these" else rig
         seeds = range(FIRST_SEED, FIRST_SEED + count)
         loops = [(Setup(name, seed, method), WORLDS[world], played) for seed in seeds]
         cases[name, method, world] = loops
     rows = [
-        dict(zip(("scenario", "method", "world"), case, strict=True)) | summed(runs)
-        for case, runs in runs_of(Cache.of(__name__), cases).items()
+        dict(zip(("scenario", "method", "world"), case, strict=True)) | summarise(runs)
+        for case, runs in cached_runs(Cache.of(__name__), cases).items()
     ]
     return Result([Table.of("many_seeds", rows, seed=FIRST_SEED, gamma=rig.gamma)])
 
 
-def weak(rig: Rig) -> Rig:
+def weak_rig(rig: Rig) -> Rig:
     """Return the rig with motors whose actual forces are the requested forces times `MOTOR_GAIN`.
 
     The plate has a soft suspension (5 Hz, well damped). The plate's drive compensates for the

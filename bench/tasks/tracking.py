@@ -12,7 +12,7 @@ from plate_core import PlateError, Rig, load_rig
 from plate_core.tasks import read_scenario
 from plate_core.yaml_fields import Fields
 from plate_solver import RotationSolver, SinusoidSolver
-from tasks.runs import UNEVEN, runs_of, summed
+from tasks.runs import UNEVEN, cached_runs, summarise
 
 SPEEDS_MM = (2, 5, 20, 40, 80, 160, 320)
 """Speeds along the circles [mm/s]. The speeds are tried in this order until one fails."""
@@ -49,11 +49,11 @@ def measure(quick: bool) -> Result:
     for speed in (20, 80) if quick else SPEEDS_MM:
         cases = {}
         for method, count in going:
-            task = Fields(circles(count, 1e-3 * speed), "circles", PlateError)
+            task = Fields(circles_scenario(count, 1e-3 * speed), "circles", PlateError)
             scenario = read_scenario(task, "circles")
             loops = [(Setup(scenario, seed, method), UNEVEN, rig) for seed in seeds]
             cases[method, count, speed] = loops
-        for (method, count, _), runs in runs_of(cache, cases).items():
+        for (method, count, _), runs in cached_runs(cache, cases).items():
             rows[method, count].append(row_of(rig, method, count, speed, runs))
         going = [kind for kind in going if rows[kind][-1]["kept"]]
     found = [row for mine in rows.values() for row in mine]
@@ -61,12 +61,12 @@ def measure(quick: bool) -> Result:
     return Result([Table.of("tracking", found, seeds=SEEDS, **facts)])
 
 
-def laps(speed: float) -> float:
+def lap_count(speed: float) -> float:
     """Return the number of laps at a speed [m/s]."""
     return float(np.clip(round(speed * SPAN_S / (2 * np.pi * RADIUS_M), 3), 0.08, 2.0))
 
 
-def circles(count: int, speed: float) -> dict[str, Any]:
+def circles_scenario(count: int, speed: float) -> dict[str, Any]:
     """Return a scenario with `count` parts, each on its own circle, at one speed [m/s]."""
     places, paths = [], []
     for k, (x, y) in enumerate(CENTRES_M[:count]):
@@ -77,7 +77,9 @@ def circles(count: int, speed: float) -> dict[str, Any]:
             "centre_m": [x, y], "radius_m": RADIUS_M, "start_deg": start,
             "turn": "left" if k % 2 else "right",
         }  # fmt: skip
-        paths.append({"class": "black", "circle": circle, "speed_mps": speed, "laps": laps(speed)})
+        paths.append(
+            {"class": "black", "circle": circle, "speed_mps": speed, "laps": lap_count(speed)}
+        )
     return {
         "description": f"{count} parts on circles at {1e3 * speed:g} mm/s.",
         "parts": [{"class": "black", "positions_m": places}],
@@ -93,11 +95,11 @@ def row_of(
     solver = SinusoidSolver(rig) if method == "sinusoids" else RotationSolver(rig)
     period = solver.steering_period(count)
     speed = 1e-3 * speed_mm
-    shortest_s = laps(speed) * 2 * np.pi * RADIUS_M / speed
+    shortest_s = lap_count(speed) * 2 * np.pi * RADIUS_M / speed
     # Three periods are subtracted, because a task begins with one cycle at rest and ends with the
     # complete cycle of the last lap's end.
     delay = max((run["time_s"] - 3 * period) / shortest_s for run in runs)
-    row = summed(runs)
+    row = summarise(runs)
     kept = row["good"] == len(runs) and row["worst_rms_mm"] <= 1e3 * MAX_RMS_M
     return row | {
         "method": method, "parts": count, "speed_mm_s": speed_mm, "delay": delay,

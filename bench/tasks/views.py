@@ -11,7 +11,7 @@ from harness import Cache, Result, Table
 from plate_bringup.loop import Setup
 from plate_core import load_rig
 from plate_core.tasks import load_scenario
-from tasks.runs import runs_of, summed
+from tasks.runs import cached_runs, summarise
 
 FIRST_SEED, SEEDS = 54_000, 10
 """First seed and number of seeds. No parameter was chosen by runs with these or larger seeds."""
@@ -47,8 +47,8 @@ def measure(quick: bool) -> Result:
     }
     rows: list[dict[str, Any]] = []
     plain: dict[str, Any] = {}
-    for (name, scene), runs in runs_of(Cache.of(__name__), cases).items():
-        row = {"scenario": name, "scene": scene} | summed(runs)
+    for (name, scene), runs in cached_runs(Cache.of(__name__), cases).items():
+        row = {"scenario": name, "scene": scene} | summarise(runs)
         plain = row if scene == PLAIN else plain
         there = row["time_s"] is not None and plain["time_s"] is not None
         row["longer_percent"] = 100 * (row["time_s"] / plain["time_s"] - 1) if there else None

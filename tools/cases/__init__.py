@@ -36,7 +36,7 @@ class Outcome:
     text: str = ""
 
 
-def chosen(nodes: Iterable[str], known: Iterable[str]) -> list[str]:
+def select_nodes(nodes: Iterable[str], known: Iterable[str]) -> list[str]:
     """Return the given nodes, or all known nodes if no node is given.
 
     Raises

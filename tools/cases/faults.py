@@ -29,7 +29,7 @@ from graph.session import Session, session
 from record.judge import check_limits
 from trajectory_msgs.msg import JointTrajectory
 
-from cases import Outcome, chosen
+from cases import Outcome, select_nodes
 from plate_bringup import GraphError, RunOptions, load_graph
 from plate_core import load_rig
 from plate_core.ros import nanoseconds
@@ -103,12 +103,12 @@ class Plate:
         return time.time() - self.moved_until < STILL_S
 
 
-def between(messages: Iterable[Received], since: float, until: float) -> list[Received]:
+def messages_between(messages: Iterable[Received], since: float, until: float) -> list[Received]:
     """Return the messages between two times [s, monotonic]."""
     return [each for each in messages if since < each.at < until]
 
 
-def before(messages: Iterable[Received], when: float) -> Received:
+def last_message_before(messages: Iterable[Received], when: float) -> Received:
     """Return the last message up to a time [s, monotonic], or an empty message."""
     return [Received(0.0, 0, ""), *(each for each in messages if each.at <= when)][-1]
 
@@ -223,7 +223,7 @@ class Faults:
         # plate must not move.
         self.observer.until(
             lambda: (
-                before(diagnostics.get(node, ()), math.inf).at
+                last_message_before(diagnostics.get(node, ()), math.inf).at
                 > max(back, time.monotonic() - FRESH_S)
             ),
             BACK_S,
@@ -242,20 +242,20 @@ class Faults:
         """Add the messages between two times to a row: the end of the task, the driver's first new
         status, and the first most severe diagnostics of each node."""
         record = self.observer.record
-        for message in between(record.tasks, since, until):
+        for message in messages_between(record.tasks, since, until):
             if message.state != TaskStatus.RUNNING:
                 row.task, row.task_s = message.text, round(message.at - since, 1)
                 break
-        row.driver, row.driver_s = before(record.drivers, since).text, None
-        for message in between(record.drivers, since, until):
+        row.driver, row.driver_s = last_message_before(record.drivers, since).text, None
+        for message in messages_between(record.drivers, since, until):
             if message.text != row.driver:
                 row.driver, row.driver_s = message.text, round(message.at - since, 1)
                 break
         row.diagnostics = []
         for name, messages in record.diagnostics.items():
-            recent = between(messages, since, until)
+            recent = messages_between(messages, since, until)
             worst = max(recent, key=lambda one: one.level.rank, default=Received(0.0, 0, ""))
-            if worst.level not in (Level.OK, before(messages, since).level):
+            if worst.level not in (Level.OK, last_message_before(messages, since).level):
                 seconds = round(worst.at - since, 1)
                 row.diagnostics.append((name, worst.level.name, seconds, worst.text))
         row.diagnostics.sort(key=lambda item: item[2])
@@ -291,7 +291,7 @@ def run(logs: Path, nodes: Iterable[str] = (), transport: str = "sim") -> Iterat
     """Inject all faults into a running graph one after the other. For cuts, a gate forwards
     the nodes' inputs."""
     options = RunOptions(transport=transport, link=str(logs / "device"))
-    names = chosen(nodes, [node.name for node in options.nodes(load_graph())])
+    names = select_nodes(nodes, [node.name for node in options.nodes(load_graph())])
     rows: list[dict[str, Any]] = []
     result: dict[str, Any] = {
         "transport": transport,
@@ -321,7 +321,7 @@ def run(logs: Path, nodes: Iterable[str] = (), transport: str = "sim") -> Iterat
             check = check_limits(graph.observer.record, load_rig(options.rig_file))
         result["tables"] += check.tables
         result["faults"] += check.faults
-    lines = [" | ".join(row.values()) for row in cells(result)]
+    lines = [" | ".join(row.values()) for row in table_cells(result)]
     lines.append(f"{result['tables']} motor tables, limit violations: {result['faults']}")
     well = all(row["well"] for row in rows) and not result["faults"]
     yield Outcome(result, well=well, text="\n".join(lines))
@@ -330,10 +330,10 @@ def run(logs: Path, nodes: Iterable[str] = (), transport: str = "sim") -> Iterat
 HEADS = ("fault", "node", "task_status", "driver_status", "diagnostics", "plate rests", "to go on")
 
 
-def cells(result: dict[str, Any]) -> list[dict[str, str]]:
+def table_cells(result: dict[str, Any]) -> list[dict[str, str]]:
     """Return the rows as texts by column (`HEADS`), for a table."""
 
-    def after(text: str, seconds: float | None) -> str:
+    def delay_text(text: str, seconds: float | None) -> str:
         text = re.sub(r"^aborted after [\d.]+ s: ", "", text)
         text = text.split(" (")[0].split(", allowed: ")[0].replace(result["port"], "PORT")
         return f"{seconds:.1f} s: {text}" if seconds is not None else text
@@ -344,7 +344,10 @@ def cells(result: dict[str, Any]) -> list[dict[str, str]]:
             f"{name} {level} {seconds:.1f} s" for name, level, seconds, _ in row["diagnostics"]
         )
         rest = "no" if row["rest_s"] is None else f"{row['rest_s']:.1f} s"
-        task, driver = after(row["task"], row["task_s"]), after(row["driver"], row["driver_s"])
+        task, driver = (
+            delay_text(row["task"], row["task_s"]),
+            delay_text(row["driver"], row["driver_s"]),
+        )
         some = row["fault"], row["node"], task, driver, changes, rest, ", ".join(row["to_go_on"])
         rows.append(dict(zip(HEADS, some, strict=True)))
     return rows

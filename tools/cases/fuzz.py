@@ -32,7 +32,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from record.limits import limit_fractions
 from trajectory_msgs.msg import JointTrajectory
 
-from cases import Outcome, chosen
+from cases import Outcome, select_nodes
 from plate_bringup import RunOptions, load_graph
 from plate_core import CycleRequest, Parts, PlateCycle, Rig, load_rig
 from plate_core.ros import (
@@ -89,13 +89,13 @@ class Verdict:
     seconds: float = 0.0
 
 
-def templates(rig: Rig, rng: np.random.Generator) -> dict[type, bytes]:
+def message_templates(rig: Rig, rng: np.random.Generator) -> dict[type, bytes]:
     """Return a random valid message of each type, serialised."""
     t = np.arange(24) / 24
     size = rng.choice([0.0, 1e-3, 3e-3, 0.01, 1.0])
     wave = size * np.outer(np.sin(np.pi * t) ** 4 * np.sin(4 * np.pi * t), [1, 1, 3])
     cycle = PlateCycle.from_samples(float(rng.choice([0.02, 0.1, 0.2])), wave)
-    stamp = to_time(0)  # `message` sets the stamp
+    stamp = to_time(0)  # `fuzzed_message` sets the stamp
     count = int(rng.choice(COUNTS, p=PROBABILITIES))
     ids = tuple(f"{'black' if k % 2 else 'grey'}_{k // 2 + 1}" for k in range(count))
     place = rng.uniform(-1.1, 1.1, (count, 2)) * rig.plate.half
@@ -119,13 +119,13 @@ def templates(rig: Rig, rng: np.random.Generator) -> dict[type, bytes]:
     return {type(msg): serialize_message(msg) for msg in right}
 
 
-def spoil(msg: Any, rng: np.random.Generator) -> None:
+def change_random_field(msg: Any, rng: np.random.Generator) -> None:
     """Change one random field of a message, or of a message in it, to an unusual value."""
     kinds = msg.get_fields_and_field_types()
     name = str(rng.choice(list(kinds)))
     value = getattr(msg, name)
     if hasattr(value, "get_fields_and_field_types"):
-        spoil(value, rng)
+        change_random_field(value, rng)
     elif isinstance(value, bool):
         setattr(msg, name, not value)
     elif isinstance(value, str):
@@ -136,16 +136,16 @@ def spoil(msg: Any, rng: np.random.Generator) -> None:
         low, high = (0, 255) if "int8" in kinds[name] else (0, 2**31 - 1)
         setattr(msg, name, int(rng.choice([low, 1, high])))
     else:
-        spoil_list(msg, name, value, rng)
+        change_list(msg, name, value, rng)
 
 
-def spoil_list(msg: Any, name: str, value: Any, rng: np.random.Generator) -> None:
+def change_list(msg: Any, name: str, value: Any, rng: np.random.Generator) -> None:
     """Make a list shorter, longer, empty or unordered, or change one of its items."""
     fixed = isinstance(value, np.ndarray)
     items = list(value)
     kind = int(rng.integers(0, 5))
     if items and hasattr(items[0], "get_fields_and_field_types") and kind < 3:
-        spoil(items[int(rng.integers(len(items)))], rng)
+        change_random_field(items[int(rng.integers(len(items)))], rng)
         return
     if fixed or (items and isinstance(items[0], float) and kind < 3):
         if items:
@@ -163,17 +163,17 @@ def spoil_list(msg: Any, name: str, value: Any, rng: np.random.Generator) -> Non
     setattr(msg, name, np.array(items) if fixed else items)
 
 
-def alone(callback: Any) -> Any:
+def message_only(callback: Any) -> Any:
     """Return a callback that takes only a message, without the middleware's information."""
     if len(signature(callback).parameters) == 1:
         return callback
     return lambda msg: callback(msg, {"publication_sequence_number": None})
 
 
-def topics_of(node: Any) -> list[tuple[str, type, Any]]:
+def find_topics(node: Any) -> list[tuple[str, type, Any]]:
     """Return the topics of a node, and the services whose requests contain numbers. Each entry has
     the name, the type and the callback."""
-    topics = [(s.topic_name, s.msg_type, alone(s.callback)) for s in node.subscriptions]
+    topics = [(s.topic_name, s.msg_type, message_only(s.callback)) for s in node.subscriptions]
     for subscription, take in getattr(node, "raw_inputs", ()):  # the driver receives bytes
 
         def take_bytes(msg: Any, take: Any = take) -> None:
@@ -196,7 +196,7 @@ def topics_of(node: Any) -> list[tuple[str, type, Any]]:
     return [item for item in topics if item[0].rsplit("/", 1)[-1] not in own]
 
 
-def message(kind: type, pool: list[dict[type, bytes]], rng: np.random.Generator) -> Any:
+def fuzzed_message(kind: type, pool: list[dict[type, bytes]], rng: np.random.Generator) -> Any:
     """Return a message with up to four changed fields, serialised and deserialised."""
     right = pool[int(rng.integers(len(pool)))].get(kind)
     msg = deserialize_message(right, kind) if right is not None else kind()
@@ -204,7 +204,7 @@ def message(kind: type, pool: list[dict[type, bytes]], rng: np.random.Generator)
         age_ns = int(rng.integers(0, 2 * 10**8 if rng.random() < 0.9 else 10**12))
         msg.header.stamp = to_time(time.time_ns() - age_ns)
     for _ in range(int(rng.integers(0, 5))):
-        spoil(msg, rng)
+        change_random_field(msg, rng)
     return deserialize_message(serialize_message(msg), kind)
 
 
@@ -243,7 +243,7 @@ def own_memory_mb() -> float:
     return memory_mb(os.getpid())
 
 
-def fuzz(name: str, count: int, seed: int) -> Verdict:
+def fuzz_node(name: str, count: int, seed: int) -> Verdict:
     """Send `count` messages to one node, to each of its topics in turn."""
     module, _, kind = NODES[name].rpartition(".")
     rng, verdict = np.random.default_rng(seed), Verdict(name)
@@ -253,15 +253,15 @@ def fuzz(name: str, count: int, seed: int) -> Verdict:
     set_logger_level(node.get_logger().name, LoggingSeverity.FATAL)
     try:
         check = MotionCheck(node, verdict)
-        topics = topics_of(node)
+        topics = find_topics(node)
         rig = load_rig()
-        pool = [templates(rig, rng) for _ in range(POOL)]
+        pool = [message_templates(rig, rng) for _ in range(POOL)]
         began, base = time.monotonic(), 0.0
         for k in range(count):
             if k == int(WARM * count):
                 base = own_memory_mb()
             topic, taken, give = topics[k % len(topics)]
-            msg = message(taken, pool, rng)
+            msg = fuzzed_message(taken, pool, rng)
             sent = time.thread_time()
             try:
                 give(msg)
@@ -281,7 +281,7 @@ def fuzz(name: str, count: int, seed: int) -> Verdict:
     return verdict
 
 
-def failed(verdict: Verdict) -> bool:
+def has_failed(verdict: Verdict) -> bool:
     """Return whether a node crashed, used too much memory, or exceeded a limit."""
     return (
         verdict.crashes > 0
@@ -299,9 +299,9 @@ def run(
         os.environ.update(ros_environment(domain))
         rclpy.init(args=["--ros-args", "--disable-external-lib-logs"])
         try:
-            for name in chosen(nodes, NODES):
-                verdicts.append(fuzz(name, count, seed))
-                well = not any(map(failed, verdicts))
+            for name in select_nodes(nodes, NODES):
+                verdicts.append(fuzz_node(name, count, seed))
+                well = not any(map(has_failed, verdicts))
                 crashes = f"{sum(v.crashes for v in verdicts)} crashes"
                 yield Outcome([vars(v) for v in verdicts], str(verdicts[-1]), well, crashes)
         finally:

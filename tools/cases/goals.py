@@ -36,7 +36,7 @@ PAUSE_S, ANSWER_S, REST_S = 0.15, 10.0, 3.0
 `REST_S`: time until the plate must be at rest [s]."""
 
 
-def wrong(goal: Any, rng: np.random.Generator) -> Any:
+def make_invalid(goal: Any, rng: np.random.Generator) -> Any:
     """Make a goal invalid in one of four ways."""
     match int(rng.integers(4)):
         case 0:
@@ -56,11 +56,11 @@ def random_goal(rng: np.random.Generator) -> tuple[Any, bool]:
     scenario = replace(load_scenario(name), time_limit_s=float(rng.uniform(1.0, 20.0)))
     goal = scenario_to_goal(scenario)[1]
     if rng.random() < 0.2:
-        return wrong(goal, rng), True
+        return make_invalid(goal, rng), True
     return goal, False
 
 
-def storm(observer: Observer, count: int, rng: np.random.Generator) -> dict[str, Any]:
+def send_goals(observer: Observer, count: int, rng: np.random.Generator) -> dict[str, Any]:
     """Send goals, cancel or stop some of them, and return statistics of their results."""
     sent: list[tuple[Task, bool]] = []
     canceled: set[int] = set()
@@ -115,6 +115,6 @@ def run(logs: Path, count: int = 1000, seed: int = 0) -> Iterator[Outcome]:
     with session(RunOptions(scenario=SCENARIOS[0], autostart=False), logs) as graph:
         graph.free()
         graph.observer.await_ready()
-        result = storm(graph.observer, count, np.random.default_rng(seed))
+        result = send_goals(graph.observer, count, np.random.default_rng(seed))
     unwell = result["unanswered"] or result["wrong ones that began"]
     yield Outcome(result, well=result["plate rests"] and not unwell)

@@ -78,7 +78,7 @@ class Verdict:
     problems: Counter[str] = field(default_factory=Counter)
 
 
-def command(rng: random.Random) -> dict[str, Any]:
+def random_command(rng: random.Random) -> dict[str, Any]:
     """Return a random command except the stops. Most of these commands are valid."""
     name = rng.choice([each for each in COMMANDS if each not in URGENT] + ["parameters", "set"] * 4)
     node, part = rng.choice(NODES), f"{rng.choice(['black', 'grey'])}_{rng.randrange(6)}"
@@ -108,7 +108,7 @@ async def connect(url: str) -> tornado.websocket.WebSocketClientConnection:
     )
 
 
-async def hang_up(socket: tornado.websocket.WebSocketClientConnection) -> None:
+async def close_socket(socket: tornado.websocket.WebSocketClientConnection) -> None:
     """Close a websocket, and read until the page has also closed it, for at most `MAX_S`."""
 
     async def rest() -> None:
@@ -120,7 +120,7 @@ async def hang_up(socket: tornado.websocket.WebSocketClientConnection) -> None:
         await asyncio.wait_for(rest(), MAX_S)
 
 
-async def flood(url: str, rng: random.Random, sent: Any) -> None:
+async def send_random_commands(url: str, rng: random.Random, sent: Any) -> None:
     """Send random commands without end, and add their number to `sent`."""
     number = 0
     while True:
@@ -129,7 +129,9 @@ async def flood(url: str, rng: random.Random, sent: Any) -> None:
             for _ in range(rng.randrange(1, 200)):
                 for _ in range(BATCH):
                     number += 1
-                    await socket.write_message(json.dumps({"number": number, **command(rng)}))
+                    await socket.write_message(
+                        json.dumps({"number": number, **random_command(rng)})
+                    )
                 sent.value += BATCH
                 if rng.random() < 0.9:  # in the other cases, unread replies accumulate
                     with contextlib.suppress(TimeoutError):
@@ -138,13 +140,13 @@ async def flood(url: str, rng: random.Random, sent: Any) -> None:
             socket.close()
 
 
-def flooder(url: str, sockets: int, seed: int, sent: Any) -> None:
-    """Run `flood` on several sockets. The process has a low priority, so that the graph gets the
-    CPU as if the browsers ran on other computers."""
+def flood_from_process(url: str, sockets: int, seed: int, sent: Any) -> None:
+    """Run `send_random_commands` on several sockets. The process has a low priority, so that the
+    graph gets the CPU as if the browsers ran on other computers."""
     os.nice(NICE)
 
     async def all_of_them() -> None:
-        floods = [flood(url, random.Random(seed + k), sent) for k in range(sockets)]
+        floods = [send_random_commands(url, random.Random(seed + k), sent) for k in range(sockets)]
         await asyncio.gather(*floods)
 
     asyncio.run(all_of_them())
@@ -160,22 +162,22 @@ async def stop(url: str, end: float, verdict: Verdict) -> list[float]:
         name, began = ("emergency_stop", "stop")[number % 2], time.monotonic()
         try:
             await socket.write_message(json.dumps({"do": name, "number": number}))
-            answer = await asyncio.wait_for(answered(socket, number), MAX_S)
+            answer = await asyncio.wait_for(await_reply(socket, number), MAX_S)
             if not answer["ok"]:
                 verdict.problems[f"{name}: {answer['text']}"] += 1
             took.append(1e3 * (time.monotonic() - began))
             verdict.late[name] += took[-1] > 1e3 * LATE_S
         except (TimeoutError, tornado.websocket.WebSocketClosedError) as error:
             verdict.problems[f"{name}: {type(error).__name__}"] += 1
-            await hang_up(socket)
+            await close_socket(socket)
             with contextlib.suppress(OSError):
                 socket = await connect(url)
         await asyncio.sleep(STOP_S)
-    await hang_up(socket)
+    await close_socket(socket)
     return took
 
 
-async def answered(socket: Any, number: int) -> dict[str, Any]:
+async def await_reply(socket: Any, number: int) -> dict[str, Any]:
     """Read until the reply to the command with this number arrives, and return it."""
     while True:
         text = await socket.read_message()
@@ -185,14 +187,14 @@ async def answered(socket: Any, number: int) -> dict[str, Any]:
             return dict(json.loads(text))
 
 
-def flooded(graph: Session, verdict: Verdict, seed: int) -> None:
+def flood_page(graph: Session, verdict: Verdict, seed: int) -> None:
     """Flood the page of a graph, and fill in the verdict."""
     url, context = graph.page(), multiprocessing.get_context("spawn")
     # A lock is not necessary, because only one process writes. The process could also be terminated
     # while it holds the lock.
     sent = context.Value("q", 0, lock=False)
     given = url, verdict.sockets, seed, sent
-    flooding = context.Process(target=flooder, args=given, daemon=True)
+    flooding = context.Process(target=flood_from_process, args=given, daemon=True)
     flooding.start()
     while not sent.value and flooding.is_alive():
         time.sleep(STOP_S)
@@ -215,6 +217,6 @@ def run(logs: Path, minutes: float = 3.0, seed: int = 0) -> Iterator[Outcome]:
     # run in the folder `logs`, because `teach` writes its file into the detector's working folder
     there = contextlib.chdir(logs)
     with there, session(options, logs, pictures=False) as graph:
-        flooded(graph, verdict, seed)
+        flood_page(graph, verdict, seed)
     failed = verdict.ends or any(verdict.late.values()) or verdict.problems or not verdict.stops
     yield Outcome(vars(verdict), well=not failed)

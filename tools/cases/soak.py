@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from graph.series import Series, Task, work_again
+from graph.series import Series, Task, run_series
 from scipy import stats
 
 from cases import Outcome
@@ -33,7 +33,7 @@ MAX_MISSED = 1e-3
 CONFIDENCE = 0.95
 
 
-def slope(time_s: np.ndarray, value: np.ndarray) -> tuple[float, float]:
+def fit_slope(time_s: np.ndarray, value: np.ndarray) -> tuple[float, float]:
     """Return the slope of the least-squares line [1/h], and the half-width of its confidence
     interval. With fewer than three samples, both values are NaN."""
     if len(time_s) < 3:
@@ -43,7 +43,7 @@ def slope(time_s: np.ndarray, value: np.ndarray) -> tuple[float, float]:
     return float(line.slope), float(wide * line.stderr)
 
 
-def line(task: Task) -> str:
+def task_line(task: Task) -> str:
     """Return a line of text about one task."""
     cycles, held, late = task.counts
     latency = 1e3 * task.latency
@@ -56,7 +56,7 @@ def line(task: Task) -> str:
     )
 
 
-def summed_up(series: Series) -> dict[str, Any]:
+def summarise(series: Series) -> dict[str, Any]:
     """Return the statistics of all tasks."""
     tasks = series.tasks
     after = min(SETTLED_S, tasks[-1].at_s / 3)
@@ -65,7 +65,7 @@ def summed_up(series: Series) -> dict[str, Any]:
     memory = []
     for name in tasks[0].memory_mb:
         values = np.array([task.memory_mb[name] for task in settled])
-        growth, wide = slope(at, values)
+        growth, wide = fit_slope(at, values)
         memory.append(
             {
                 "node": name, "first_mb": values[0], "last_mb": values[-1],
@@ -74,7 +74,7 @@ def summed_up(series: Series) -> dict[str, Any]:
         )  # fmt: skip
     cycles, held, late = np.sum([task.counts for task in tasks], axis=0).tolist()
     latency = 1e3 * np.concatenate([task.latency for task in tasks])
-    drift, wide = slope(at, np.array([1e3 * np.median(task.latency) for task in settled]))
+    drift, wide = fit_slope(at, np.array([1e3 * np.median(task.latency) for task in settled]))
     return {
         "hours": tasks[-1].at_s / 3600,
         "tasks": len(tasks), "done": sum(task.done for task in tasks),
@@ -87,7 +87,7 @@ def summed_up(series: Series) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def text(result: dict[str, Any]) -> str:
+def summary_text(result: dict[str, Any]) -> str:
     """Return the statistics as text."""
     lines = [f"{'node':10s} {'MB':>15s} {'MB/h':>16s} {'CPU':>6s}"]
     for row in result["memory"]:
@@ -117,7 +117,7 @@ def run(
     until = time.monotonic() + 60 * minutes
     friction = dict.fromkeys(("friction_spread", "friction_patches"), uneven)
     options = RunOptions(scenario, autostart=False)
-    for now in work_again(options, logs, lambda _: time.monotonic() > until, world=friction):
-        result = summed_up(now)
+    for now in run_series(options, logs, lambda _: time.monotonic() > until, world=friction):
+        result = summarise(now)
         well = result["faults"] == 0 and result["missed_share"] <= MAX_MISSED
-        yield Outcome(result, line(now.tasks[-1]), well, text(result))
+        yield Outcome(result, task_line(now.tasks[-1]), well, summary_text(result))

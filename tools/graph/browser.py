@@ -23,7 +23,7 @@ LOADED_MS = 3000
 
 
 @contextmanager
-def browsed(options: RunOptions) -> Iterator[tuple[Session, Any]]:
+def page_session(options: RunOptions) -> Iterator[tuple[Session, Any]]:
     """Context with a running graph and its live page. Yields the session and Playwright's page.
 
     Raises

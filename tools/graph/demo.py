@@ -1,7 +1,7 @@
 """One run of tools/demo.py: checks the arguments, runs the graph, evaluates and draws the result.
 
-`checked` turns the arguments into a `Plan`, `run` starts the graph and the task, and `conclude`
-writes result.json, strip.png and demo.gif, also of a run that was interrupted.
+`check_arguments` turns the arguments into a `Plan`, `run` starts the graph and the task, and
+`evaluate_run` writes result.json, strip.png and demo.gif, also of a run that was interrupted.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from rclpy.serialization import deserialize_message
 from record.bag import Recorder
-from record.judge import evaluate, summary, there
+from record.judge import evaluate, placed_word, summary
 from trajectory_msgs.msg import JointTrajectory
 
 from plate_bringup import GraphError, RunOptions, load_graph
@@ -120,8 +120,8 @@ class Plan:
 def demo(args: argparse.Namespace) -> int:
     """Check the arguments, run the demo, and return the exit code of tools/demo.py."""
     try:
-        plan = checked(args)
-        clear(plan.out)
+        plan = check_arguments(args)
+        clear_folder(plan.out)
     except PlateError as error:
         print(f"demo: {error}", file=sys.stderr)
         return 2
@@ -138,7 +138,7 @@ def demo(args: argparse.Namespace) -> int:
         return 1
 
 
-def checked(args: argparse.Namespace) -> Plan:
+def check_arguments(args: argparse.Namespace) -> Plan:
     """Check all arguments before anything is started.
 
     Raises
@@ -153,7 +153,7 @@ def checked(args: argparse.Namespace) -> Plan:
     rig = load_rig(rig_file)
     transport = "serial" if drives else args.transport
     check_run(args)
-    among("transport", transport, {*installed(), *DRIVES})
+    check_choice("transport", transport, {*installed(), *DRIVES})
     check_transport(transport, args.port or "of the simulated device")
     if args.port and (drives or transport == "sim"):
         hint = " (a board is transport serial)" if drives else ""
@@ -174,8 +174,8 @@ def checked(args: argparse.Namespace) -> Plan:
         )
     # Check the image rate: `Disturbances` raises an error if the rate is out of range.
     Disturbances(image_rate=args.image_rate)
-    within("picks", args.picks, 1, MAX_PICKS)
-    within("robot cycle", args.robot_cycle, 0.3, 60, " s")
+    check_range("picks", args.picks, 1, MAX_PICKS)
+    check_range("robot cycle", args.robot_cycle, 0.3, 60, " s")
     if isinstance(scenario.task, FeedTask):
         if args.lockstep:
             raise PlateError("--lockstep is given, but a task of kind feed requires real time")
@@ -200,10 +200,10 @@ def checked(args: argparse.Namespace) -> Plan:
             "detected, and cycles are computed and sent to the motors, but the task cannot be done",
             flush=True,
         )
-    out = args.out or own_folder(scenario.name)
+    out = args.out or make_run_folder(scenario.name)
     firmware = build(rig_file, args.transport, out / "firmware").absolute() if drives else ""
     options = RunOptions(
-        scenario=absolute(args.scenario),
+        scenario=absolute_path(args.scenario),
         method=METHODS[args.method],
         seed=args.seed,
         transport=transport,
@@ -213,7 +213,7 @@ def checked(args: argparse.Namespace) -> Plan:
         firmware=str(firmware),
         lockstep=args.lockstep,
         image_rate=args.image_rate,
-        rig_file=absolute(rig_file),
+        rig_file=absolute_path(rig_file),
         autostart=False,
         one_process=args.one_process,
         # If all nodes run in one process, the page would slow the nodes down. Therefore the page is
@@ -292,14 +292,14 @@ def await_consent(observer: Observer) -> None:
 
 def check_run(args: argparse.Namespace) -> None:
     """Check the arguments that `make demo` and `make play` share. Raise the same errors as
-    `checked`."""
-    among("method", args.method, METHODS)
-    within("seed", args.seed, 0, 2**31 - 1)
+    `check_arguments`."""
+    check_choice("method", args.method, METHODS)
+    check_range("seed", args.seed, 0, 2**31 - 1)
     if args.domain is not None:
-        within("domain", args.domain, 0, 101)
+        check_range("domain", args.domain, 0, 101)
 
 
-def among(name: str, value: str, known: Iterable[str]) -> None:
+def check_choice(name: str, value: str, known: Iterable[str]) -> None:
     """Raise PlateError if the argument is not one of the allowed words."""
     known = sorted(known)
     if value not in known:
@@ -307,18 +307,18 @@ def among(name: str, value: str, known: Iterable[str]) -> None:
         raise PlateError(f"{name} is {value!r}{hint}, allowed: {', '.join(known)}")
 
 
-def within(name: str, value: float, low: float, high: float, unit: str = "") -> None:
+def check_range(name: str, value: float, low: float, high: float, unit: str = "") -> None:
     """Raise PlateError if the argument is outside the range from `low` to `high`."""
     if not low <= value <= high:
         raise PlateError(f"{name} is {value}{unit}, allowed: {low} to {high}")
 
 
-def absolute(name: str) -> str:
+def absolute_path(name: str) -> str:
     """Return the absolute path of a YAML file. Names without .yaml are returned unchanged."""
     return str(Path(name).absolute()) if Path(name).suffix in (".yaml", ".yml") else name
 
 
-def own_folder(scenario: str) -> Path:
+def make_run_folder(scenario: str) -> Path:
     """Create a new folder for this run, with the time and the scenario in its name.
 
     Raises
@@ -336,7 +336,7 @@ def own_folder(scenario: str) -> Path:
             number += 1
             path = Path(f"{stem}_{number}")
         except OSError as problem:
-            raise unmade(path, problem) from None
+            raise folder_error(path, problem) from None
 
 
 def run(plan: Plan) -> int:
@@ -371,13 +371,13 @@ def run(plan: Plan) -> int:
                         graph.free()
                         graph.observer.await_ready()
                         line.end()
-                        feed(plan, graph.observer, grips)
+                        run_feeding_robot(plan, graph.observer, grips)
                     else:
                         if plan.options.port:
                             await_consent(graph.observer)
                         graph.begin()
                         line.end()
-                        watch(plan, graph.observer, began)
+                        watch_task(plan, graph.observer, began)
             except (Interrupted, PlateError) as stopped:
                 problem = stopped
             ended = True
@@ -385,7 +385,7 @@ def run(plan: Plan) -> int:
         if not ended:
             raise
         late = while_nodes_stop
-    code = conclude(plan, graph, time.monotonic() - began, problem, grips)
+    code = evaluate_run(plan, graph, time.monotonic() - began, problem, grips)
     stop = problem if isinstance(problem, Interrupted) else late
     if stop is not None:
         print(f"demo: {stop}, all nodes are stopped", flush=True)
@@ -396,7 +396,7 @@ def run(plan: Plan) -> int:
     return code
 
 
-def conclude(
+def evaluate_run(
     plan: Plan,
     graph: Session,
     wall_s: float,
@@ -478,7 +478,7 @@ def recording(plan: Plan, observer: Observer) -> Iterator[None]:
             print(f"\n  {plan.out / BAG}", flush=True)
 
 
-def watch(plan: Plan, observer: Observer, began: float) -> None:
+def watch_task(plan: Plan, observer: Observer, began: float) -> None:
     """Show the task's progress until it ends, and the time at which the plate began to move.
 
     Raises
@@ -493,7 +493,7 @@ def watch(plan: Plan, observer: Observer, began: float) -> None:
     while not record.ended:
         observer.until(lambda: record.ended, line.PERIOD_S)
         if not moving:
-            moving, seen = any(map(moves, record.tables[seen:])), len(record.tables)
+            moving, seen = any(map(is_moving_table, record.tables[seen:])), len(record.tables)
             if moving:
                 line.end(f"The plate moves {time.monotonic() - began:.1f} s after the start.")
         now = time.monotonic()
@@ -518,13 +518,13 @@ def watch(plan: Plan, observer: Observer, began: float) -> None:
     line.end(progress(task, record))
 
 
-def moves(table: bytes) -> bool:
+def is_moving_table(table: bytes) -> bool:
     """Whether a motor table moves the plate."""
     points = deserialize_message(table, JointTrajectory).points
     return any(point.positions != points[0].positions for point in points)
 
 
-def feed(plan: Plan, observer: Observer, grips: list[Grip]) -> None:
+def run_feeding_robot(plan: Plan, observer: Observer, grips: list[Grip]) -> None:
     """Let a simulated robot pick parts from the feeder, over TCP, and append each pick to `grips`.
 
     Raises
@@ -548,9 +548,9 @@ def feed(plan: Plan, observer: Observer, grips: list[Grip]) -> None:
     line.end(text)
 
 
-def clear(out: Path) -> None:
+def clear_folder(out: Path) -> None:
     """Create the folder, and remove the results of an earlier run in it. If the folder has a name
-    like those from `own_folder`, set the link `LAST` to the folder.
+    like those from `make_run_folder`, set the link `LAST` to the folder.
 
     Raises
     ------
@@ -564,22 +564,22 @@ def clear(out: Path) -> None:
         if (out / BAG).exists():
             shutil.rmtree(out / BAG)
         if out.parent == LAST.parent and out.name.startswith(LAST.name + "-"):
-            point(LAST, out)
+            set_link(LAST, out)
     except OSError as problem:
-        raise unmade(out, problem) from None
+        raise folder_error(out, problem) from None
 
 
-def unmade(folder: Path, problem: OSError) -> PlateError:
+def folder_error(folder: Path, problem: OSError) -> PlateError:
     """Return an error which states that a folder of results cannot be used."""
     why = problem.strerror or problem
     return PlateError(f"out is {folder}: {why}, allowed: a folder that can be created")
 
 
-def point(link: Path, folder: Path) -> None:
+def set_link(link: Path, folder: Path) -> None:
     """Set a symbolic link to a folder in the same parent folder. If a folder has the name of the
     link, this folder is renamed."""
     if link.is_dir() and not link.is_symlink():
-        link.rename(own_folder("earlier"))
+        link.rename(make_run_folder("earlier"))
     fresh = link.with_name(f".{link.name}-{os.getpid()}")
     fresh.symlink_to(folder.name)
     # replace the link in one atomic step, because two demos can end at the same time
@@ -595,10 +595,10 @@ def write(path: Path, result: dict[str, Any]) -> None:
 def draw(plan: Plan, record: Record) -> None:
     """Draw the picture strip and the animation, and print their paths. If the user interrupts the
     program, the drawing ends."""
-    from record.film import develop
+    from record.film import decode_record
     from record.pictures import Scene, draw_film, draw_strip
 
-    scene = Scene(plan.rig, plan.scenario, develop(record, plan.rig))
+    scene = Scene(plan.rig, plan.scenario, decode_record(record, plan.rig))
     rig = f", {rig_title(plan.options.rig_file)}" if plan.options.rig_file else ""
     title = f"{plan.scenario.name}, method {plan.options.method}{rig}"
     strip, animation = plan.out / "strip.png", plan.out / "demo.gif"
@@ -655,7 +655,7 @@ def progress(task: Task, record: Record) -> str:
     if isinstance(task, FollowTask):
         done = f"error {1e3 * float(value('rms_error_m')):.2f} mm rms"
     else:
-        done = f"{value('parts_sorted')}/{value('parts_total')} parts {there(task)}"
+        done = f"{value('parts_sorted')}/{value('parts_total')} parts {placed_word(task)}"
     return (
         f"{done} | {float(value('time_s')):5.1f} s | {1e3 * float(value('to_go_m')):4.0f} mm to go"
         f" | solve {float(record.last('solver', 'solve_ms_median', '0')):3.0f} ms"

@@ -75,7 +75,7 @@ class Server:
     newest: Server | None = None
 
     def __init__(self, modules: Iterable[str], environment: Mapping[str, str]) -> None:
-        self._loaded = _of_loading(environment)
+        self._loaded = _loading_environment(environment)
         _libc.prctl(PR_SET_CHILD_SUBREAPER, 1)
         # A parent program may have set SIGCHLD to be ignored. With this setting, the exit codes of
         # children would be lost, so restore the default.
@@ -99,7 +99,7 @@ class Server:
         its code with other values of the variables in `AT_LOADING`."""
         if cls.newest is None or cls.newest._process.poll() is not None:
             cls.newest = cls(modules, environment)
-        return cls.newest if cls.newest._loaded == _of_loading(environment) else None
+        return cls.newest if cls.newest._loaded == _loading_environment(environment) else None
 
     def start(self, words: list[str], environment: Mapping[str, str], log: Path) -> int:
         """Start a node, and return its process id.
@@ -194,7 +194,7 @@ class Fork:
             os.kill(self.pid, number)
 
 
-def _of_loading(environment: Mapping[str, str]) -> dict[str, str]:
+def _loading_environment(environment: Mapping[str, str]) -> dict[str, str]:
     return {name: value for name, value in environment.items() if name.startswith(AT_LOADING)}
 
 
@@ -220,13 +220,13 @@ def serve(modules: Iterable[str]) -> None:
     warnings.filterwarnings("ignore", "This process .* is multi-threaded", DeprecationWarning)
     while order := sys.stdin.readline():
         if not (child := os.fork()):
-            _become(answers, **json.loads(order))
+            _become_node(answers, **json.loads(order))
         # the second fork failed, because the limit of processes is reached
         if os.waitpid(child, 0)[1]:
             return
 
 
-def _become(
+def _become_node(
     answers: int, words: list[str], environment: dict[str, str], log: str, folder: str
 ) -> None:
     """Turn this process into a node, with a separate session, environment and log, like a new

@@ -36,7 +36,7 @@ NODES = ("simulator", "detector", "planner", "solver", "driver")
 GATE = "gate"
 
 
-def inputs(transport: str) -> dict[str, tuple[str, Any]]:
+def main_inputs(transport: str) -> dict[str, tuple[str, Any]]:
     """Return the topic and the message type of each node's main input."""
     found = dict(zip((*NODES[1:], NODES[0]), CHAIN, strict=True))
     # with a serial device, the simulator's main input is the motion that the device publishes
@@ -45,12 +45,12 @@ def inputs(transport: str) -> dict[str, tuple[str, Any]]:
     return found
 
 
-def remaps(transport: str) -> dict[str, tuple[str, str]]:
+def gate_remappings(transport: str) -> dict[str, tuple[str, str]]:
     """Return the remapping of each node's main input to the gate's output."""
-    return {node: (topic, f"{GATE}/{topic}") for node, (topic, _) in inputs(transport).items()}
+    return {node: (topic, f"{GATE}/{topic}") for node, (topic, _) in main_inputs(transport).items()}
 
 
-def command(transport: str) -> list[str]:
+def gate_command(transport: str) -> list[str]:
     """Return the command line of the gate."""
     return [__file__, transport]
 
@@ -62,13 +62,15 @@ class Gate(Node):
     def __init__(self, transport: str) -> None:
         super().__init__(GATE)
         self.declare_parameter("cut", "")
-        for node, (topic, kind) in inputs(transport).items():
+        for node, (topic, kind) in main_inputs(transport).items():
             qos = IMAGE if kind is Image else DATA
             publisher = self.create_publisher(kind, f"{GATE}/{topic}", qos)
-            through = self._through(node, publisher.publish)
+            through = self._make_forwarder(node, publisher.publish)
             self.create_subscription(kind, topic, through, qos, raw=True)
 
-    def _through(self, node: str, publish: Callable[[bytes], None]) -> Callable[[bytes], None]:
+    def _make_forwarder(
+        self, node: str, publish: Callable[[bytes], None]
+    ) -> Callable[[bytes], None]:
         def on_message(data: bytes) -> None:
             if self.get_parameter("cut").value != node:
                 publish(data)

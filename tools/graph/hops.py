@@ -66,10 +66,10 @@ class Hops(Listener):
         self.times: dict[int, list[int]] = defaultdict(lambda: [0] * len(CHAIN))
         for number, (topic, kind) in enumerate(CHAIN):
             if number or images:
-                on_message = self._listener(number)
+                on_message = self._make_listener(number)
                 self.node.create_subscription(kind, topic, on_message, CAMERA, raw=True)
 
-    def _listener(self, number: int) -> Any:
+    def _make_listener(self, number: int) -> Any:
         def on_message(data: bytes, info: dict[str, int]) -> None:
             second, nanosecond = STAMP.unpack_from(data)
             stamp = second * 1_000_000_000 + nanosecond

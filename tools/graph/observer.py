@@ -304,11 +304,11 @@ class Observer:
         self.record.status = msg
         # record each text once, although it is published with each image
         if self.record.states[-1:] != [msg.text]:
-            self.record.tasks.append(_received(msg))
+            self.record.tasks.append(_to_received(msg))
 
     def _on_driver(self, msg: DriverStatus) -> None:
         self.record.driver = msg
-        self.record.drivers.append(_received(msg))
+        self.record.drivers.append(_to_received(msg))
 
     def _on_report(self, msg: DiagnosticArray) -> None:
         now, stamp = time.monotonic(), nanoseconds(msg.header.stamp)
@@ -618,5 +618,5 @@ class Observer:
             raise GraphError(str(result.reason))
 
 
-def _received(msg: DriverStatus | TaskStatus) -> Received:
+def _to_received(msg: DriverStatus | TaskStatus) -> Received:
     return Received(time.monotonic(), nanoseconds(msg.header.stamp), msg.text, state=msg.state)

@@ -259,7 +259,7 @@ class Processes:
         """Return a text with the exit code of a node and the end of its log. The text is empty if
         the node runs."""
         code = self._running[name].poll()
-        return "" if code is None else f"{name} {ended(code)}\n{self.tail(name)}"
+        return "" if code is None else f"{name} {ending_text(code)}\n{self.tail(name)}"
 
     def tail(self, name: str) -> str:
         """Return the last lines of a node's log, and the path of the log."""
@@ -326,7 +326,7 @@ class Ends:
         return len(self._times) == MAX_ENDS and now - self._times[0] <= WITHIN_S
 
 
-def ended(code: int) -> str:
+def ending_text(code: int) -> str:
     """Return a text that describes how a process ended."""
     if code >= 0:
         return f"ended with exit code {code}"

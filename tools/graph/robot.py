@@ -109,13 +109,13 @@ class Robot:
 
     def answer(self, timeout_s: float = ANSWER_S) -> tuple[int, str]:
         """Wait for a reply, and return its code and text. Raise the same errors as `ask`."""
-        if not self.observer.until(self._answered, timeout_s):
+        if not self.observer.until(self._has_reply, timeout_s):
             raise GraphError(f"the feeder has not answered within {timeout_s:g} s")
         line, _, self._text = self._text.partition(b"\n")
         code, _, text = line.decode().strip().partition(" ")
         return int(code), text
 
-    def _answered(self) -> bool:
+    def _has_reply(self) -> bool:
         try:
             data = self._socket.recv(4096)
         except BlockingIOError:
@@ -140,12 +140,12 @@ class Robot:
             before = arm
             arm, act = before.step(self._now())
             if act is Act.REQUEST:
-                reply = dict(VALUE.findall(self._done("get_part")))
+                reply = dict(VALUE.findall(self._execute("get_part")))
                 x, y, name = 1e-3 * float(reply["x"]), 1e-3 * float(reply["y"]), reply["id"]
                 arm = arm.after_reply((x, y, math.radians(float(reply["angle"]))), self._now())
             elif act is Act.LEAVE:
                 self._move(MoveRobot.Request.AWAY)
-                self._done(f"part_taken {name} {'ok' if self.grips[-1].taken else 'failed'}")
+                self._execute(f"part_taken {name} {'ok' if self.grips[-1].taken else 'failed'}")
             elif act is Act.COME and before.place is not None:
                 self._move(MoveRobot.Request.OVER, *before.place)
             elif act is Act.GRIP and before.place is not None:
@@ -157,7 +157,7 @@ class Robot:
                 )
                 yield self.grips[-1]
 
-    def _done(self, line: str) -> str:
+    def _execute(self, line: str) -> str:
         """Send a command that must succeed, and return the text of the reply."""
         code, text = self.ask(line)
         if code != 200:

@@ -1,6 +1,6 @@
 """Series of tasks in the same running graph. The parts are placed again for each task.
 
-After each task, `work_again` yields the counts of cycles, the latencies, the memory and the CPU
+After each task, `run_series` yields the counts of cycles, the latencies, the memory and the CPU
 time up to this task.
 """
 
@@ -84,7 +84,7 @@ class Series:
         return np.concatenate([task.hops for task in self.tasks])
 
 
-def work_again(
+def run_series(
     options: RunOptions,
     logs: Path,
     done: Callable[[Series], bool],
@@ -114,7 +114,7 @@ def work_again(
         series, began = Series(), time.monotonic()
         before = {name: cpu_s(graph.processes.pid(name)) for name in names}
         while not done(series):
-            series.tasks.append(one_task(graph, hops, began, max_s))
+            series.tasks.append(run_task(graph, hops, began, max_s))
             passed = time.monotonic() - began
             for name in names:
                 used = cpu_s(graph.processes.pid(name)) - before[name]
@@ -122,7 +122,7 @@ def work_again(
             yield series
 
 
-def one_task(graph: Session, hops: Hops, began: float, max_s: float) -> Task:
+def run_task(graph: Session, hops: Hops, began: float, max_s: float) -> Task:
     """Run one task, for at most `max_s` [s], and return its measurements."""
     observer, record = graph.observer, graph.observer.record
     names = ("cycles", "held cycles", "late cycles")

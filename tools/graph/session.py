@@ -135,7 +135,7 @@ def session(
         message contains the reason.
     """
     nodes = options.nodes(load_graph())
-    remaps = gate.remaps(options.transport) if gated else {}
+    remaps = gate.gate_remappings(options.transport) if gated else {}
     with (
         own_domain(domain) as domain,
         Processes(nodes, options, logs, domain, remaps=remaps) as processes,
@@ -148,7 +148,7 @@ def session(
         ) as observer,
     ):
         if gated:
-            processes.add({gate.GATE: gate.command(options.transport)})
+            processes.add({gate.GATE: gate.gate_command(options.transport)})
         loop = [node.name for node in nodes if not node.view]
         seen = observer.await_nodes(loop, START_S)
         if driver_triggers(options) and not options.autostart:

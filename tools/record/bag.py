@@ -87,14 +87,17 @@ class Recorder:
             offered = [publisher.qos_profile for publisher in publishers]
             package, _, name = kinds[0].split("/")
             kind = getattr(importlib.import_module(f"{package}.msg"), name)
-            write = self._write(topic, kinds[0], offered)
+            write = self._make_writer(topic, kinds[0], offered)
             self._node.create_subscription(kind, topic, write, profile_for(offered), raw=True)
 
-    def _write(
+    def _make_writer(
         self, topic: str, kind: str, offered: Sequence[QoSProfile]
     ) -> Callable[[bytes], None]:
         connection = self._writer.add_connection(
-            topic, kind, typestore=self._types, offered_qos_profiles=[_kept(qos) for qos in offered]
+            topic,
+            kind,
+            typestore=self._types,
+            offered_qos_profiles=[_bag_qos(qos) for qos in offered],
         )
 
         def write(data: bytes) -> None:
@@ -115,7 +118,7 @@ def profile_for(offered: Sequence[QoSProfile]) -> QoSProfile:
     )
 
 
-def _kept(qos: QoSProfile) -> Any:
+def _bag_qos(qos: QoSProfile) -> Any:
     """Convert a publisher's quality of service to the bag's form. The playback then publishes with
     the same quality of service."""
     from rosbags.interfaces import (

@@ -43,11 +43,11 @@ class Canvas:
     unit: float
     text_px: int
 
-    def _at(self, point: Sequence | np.ndarray) -> np.ndarray:
+    def _to_px(self, point: Sequence | np.ndarray) -> np.ndarray:
         place = np.reshape(point, (-1, 2)) * [self.scale, -self.scale] + self.origin
         return np.round(place * 2**SHIFT).astype(np.int32).reshape(-1, 1, 2)
 
-    def _wide(self, width: float) -> int:
+    def _line_width(self, width: float) -> int:
         return max(1, round(width * self.unit))
 
     def line(
@@ -55,13 +55,15 @@ class Canvas:
     ) -> None:
         """Draw a line through points (n, 2) [m]. Dashes are five line widths long."""
         pieces = dashes(point, 5 * width * self.unit / self.scale) if dashed else [point]
-        lines = [self._at(piece) for piece in pieces]
-        cv2.polylines(self.pixels, lines, False, colour, self._wide(width), cv2.LINE_AA, SHIFT)
+        lines = [self._to_px(piece) for piece in pieces]
+        cv2.polylines(
+            self.pixels, lines, False, colour, self._line_width(width), cv2.LINE_AA, SHIFT
+        )
 
     def area(self, corner: Sequence | np.ndarray, colour: Colour, opacity: float) -> None:
         """Fill a polygon (n, 2) [m] with the opacity `opacity`, and draw its outline."""
         tinted = self.pixels.copy()
-        cv2.fillPoly(tinted, [self._at(corner)], colour, cv2.LINE_AA, SHIFT)
+        cv2.fillPoly(tinted, [self._to_px(corner)], colour, cv2.LINE_AA, SHIFT)
         cv2.addWeighted(tinted, opacity, self.pixels, 1 - opacity, 0, dst=self.pixels)
         self.line(np.vstack([corner, corner[:1]]), colour, 1.5)
 
@@ -69,21 +71,21 @@ class Canvas:
         self, centre: Sequence | np.ndarray, radius: float, face: Colour | None, edge: Colour
     ) -> None:
         """Draw a disc with an edge. If `face` is None, draw only the edge."""
-        at = self._at(centre)[0, 0].tolist()
+        at = self._to_px(centre)[0, 0].tolist()
         size = round(radius * self.scale * 2**SHIFT)
         if face is not None:
             cv2.circle(self.pixels, at, size, face, -1, cv2.LINE_AA, SHIFT)
-        cv2.circle(self.pixels, at, size, edge, self._wide(1.5), cv2.LINE_AA, SHIFT)
+        cv2.circle(self.pixels, at, size, edge, self._line_width(1.5), cv2.LINE_AA, SHIFT)
 
     def outline(
         self, corner: np.ndarray, holes: Sequence[np.ndarray], face: Colour | None, edge: Colour
     ) -> None:
         """Draw a polygon (n, 2) [m] with holes and an edge. If `face` is None, draw only the
         edge."""
-        contours = [self._at(each) for each in (corner, *holes)]
+        contours = [self._to_px(each) for each in (corner, *holes)]
         if face is not None:
             cv2.fillPoly(self.pixels, contours, face, cv2.LINE_AA, SHIFT)
-        cv2.polylines(self.pixels, contours, True, edge, self._wide(1.5), cv2.LINE_AA, SHIFT)
+        cv2.polylines(self.pixels, contours, True, edge, self._line_width(1.5), cv2.LINE_AA, SHIFT)
 
     def arrow(self, start: np.ndarray, end: np.ndarray, colour: Colour, width: float = 1) -> None:
         """Draw an arrow with a filled head."""
@@ -96,7 +98,7 @@ class Canvas:
         neck = np.asarray(end) - head * along
         side = 0.45 * head * np.array([-along[1], along[0]])
         self.line([start, neck], colour, width)
-        corners = self._at([end, neck + side, neck - side])
+        corners = self._to_px([end, neck + side, neck - side])
         cv2.fillPoly(self.pixels, [corners], colour, cv2.LINE_AA, SHIFT)
 
     def cross(self, centre: np.ndarray, size: float, colour: Colour) -> None:
@@ -109,7 +111,7 @@ class Canvas:
     def write(self, point: Sequence | np.ndarray, text: str) -> None:
         """Write a text centred at a point [m], with a white edge."""
         image = Image.fromarray(self.pixels)
-        at = tuple(self._at(point)[0, 0] / 2**SHIFT)
+        at = tuple(self._to_px(point)[0, 0] / 2**SHIFT)
         ImageDraw.Draw(image).text(
             at, text, INK, font(self.text_px), "mm", stroke_width=2, stroke_fill=WHITE
         )

@@ -85,7 +85,7 @@ class Film:
         return self.tables[m] if m >= 0 else None
 
 
-def develop(record: Record, rig: Rig) -> Film:
+def decode_record(record: Record, rig: Rig) -> Film:
     """Decode a record.
 
     Raises

@@ -21,7 +21,7 @@ from plate_core.ros import msg_to_cycle, msg_to_motors, nanoseconds
 from plate_core.tasks import AssembleTask, FollowTask, PoseTask, Task, load_scenario
 from plate_planner.tasks import SLOWED
 
-from .film import develop
+from .film import decode_record
 from .limits import limit_fractions, thermal_load
 
 WAITS = {"held_cycles": "cycles held because no answer came", "late_cycles": "late cycles"}
@@ -102,12 +102,12 @@ def check_limits(record: Record, rig: Rig) -> LimitCheck:
         if not is_rest(cycle.parts[-1].state(-1)):
             faults.append(f"motor table {number}: does not end at rest at home")
         before.append(cycle)
-    faults += jumps(record.starts)
+    faults += find_jumps(record.starts)
     result = {**dict(zip(LIMITS, maxima.tolist(), strict=True)), "heat": hottest}
     return LimitCheck(len(record.tables), tuple(faults), result)
 
 
-def jumps(starts: Iterable[bytes]) -> list[str]:
+def find_jumps(starts: Iterable[bytes]) -> list[str]:
     """Return messages about jumps of the plate between two executed cycles.
 
     A motor table is valid if it continues any of the last tables. But the plate must execute this
@@ -155,7 +155,7 @@ def evaluate(
     PlateError
         If no task was started.
     """
-    film = develop(record, rig)
+    film = decode_record(record, rig)
     limits = check_limits(record, rig)
     task = load_scenario(options.scenario).task
     follows = isinstance(task, FollowTask)
@@ -178,7 +178,7 @@ def evaluate(
         "message": record.states[-1],
         "dropped": film.dropped,
         "parts": len(film.ids),
-        "there": there(task),
+        "there": placed_word(task),
         "parts_sorted": int(record.last("planner", "parts_sorted")),
         "time_s": round(film.end, 3),
         "cycles": film.cycles,
@@ -191,8 +191,8 @@ def evaluate(
         "bus_shares_max": bus if options.firmware else None,
         "limit_faults": list(limits.faults[:5]),
         **{f"{name}_share_max": round(fraction, 4) for name, fraction in limits.fractions.items()},
-        "missed_share": typical(record, "missed_fraction"),
-        "solve_ms_median": typical(record, "solve_ms_median"),
+        "missed_share": median_value(record, "missed_fraction"),
+        "solve_ms_median": median_value(record, "solve_ms_median"),
         "turn_error_deg": float(record.last("planner", "turn_error_deg")) if poses else None,
         "pace": float(record.last("planner", "pace")) if follows else None,
         "late_cycles": int(record.last("simulator", "late cycles", "0")),
@@ -202,12 +202,12 @@ def evaluate(
     }
 
 
-def there(task: Task) -> str:
+def placed_word(task: Task) -> str:
     """Return the word for parts at their targets: "placed" or "sorted"."""
     return "placed" if isinstance(task, AssembleTask | PoseTask) else "sorted"
 
 
-def typical(record: Record, key: str) -> float | None:
+def median_value(record: Record, key: str) -> float | None:
     """Return the median of a value in the solver's diagnostics during its searches, or None if the
     solver made no search."""
     reports = [report.values for report in record.reports("solver")]
@@ -217,13 +217,13 @@ def typical(record: Record, key: str) -> float | None:
 
 def summary(result: dict[str, Any]) -> str:
     """Return the result as a sentence for the terminal."""
-    done, end = _fed(result) if "picks" in result else _moved(result)
+    done, end = _feeding_row(result) if "picks" in result else _motion_row(result)
     verdict = "Success" if result["success"] else f"No success ({result['message'] or 'see below'})"
     limits = "within limits" if result["setpoints_within_limits"] else "LIMITS BROKEN"
     return f"{verdict}: {done}; all {result['motor_setpoints']} motor tables {limits}{end}"
 
 
-def _moved(result: dict[str, Any]) -> tuple[str, str]:
+def _motion_row(result: dict[str, Any]) -> tuple[str, str]:
     if result["rms_error_m"] is None:
         done = f"{result['parts_sorted']} of {result['parts']} parts {result['there']}"
     else:
@@ -240,7 +240,7 @@ def _moved(result: dict[str, Any]) -> tuple[str, str]:
     return f"{done}, {result['dropped'] or 'none'} dropped", f" ({100 * used:.0f} % used).{waited}"
 
 
-def _fed(result: dict[str, Any]) -> tuple[str, str]:
+def _feeding_row(result: dict[str, Any]) -> tuple[str, str]:
     done = f"{result['picks']} parts taken in {result['time_s']:.0f} s"
     if result["picks"]:
         (away, max_mm), (turned, max_deg) = result["pick_error_mm"], result["pick_error_deg"]

@@ -28,8 +28,8 @@ def limit_fractions(rig: Rig, cycle: PlateCycle) -> np.ndarray:
     motion, (point, direction) = _motion(cycle, _all_times(cycle)), _motors(rig)
     place, velocity, _ = _points(motion, point)
     values = [
-        _along(direction, place - point) / rig.limits.stroke_m,
-        _along(direction, velocity) / rig.limits.speed,
+        _components_along(direction, place - point) / rig.limits.stroke_m,
+        _components_along(direction, velocity) / rig.limits.speed,
         corner_accels(rig, motion) / rig.limits.accel,
         motor_forces(rig, motion) / rig.limits.force,
     ]
@@ -110,6 +110,6 @@ def _complex(vectors: np.ndarray) -> np.ndarray:
     return np.asarray(vectors[:, 0] + 1j * vectors[:, 1])
 
 
-def _along(direction: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+def _components_along(direction: np.ndarray, vectors: np.ndarray) -> np.ndarray:
     """Return the components of vectors (n, m) along unit vectors (m,)."""
     return np.asarray((direction.conj() * vectors).real)

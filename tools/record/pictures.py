@@ -299,7 +299,7 @@ def draw_film(scene: Scene, path: Path, title: str) -> float:
         return 1.0
     chosen = shown[np.unique(np.linspace(0, len(shown) - 1, FILM_FRAMES).round().astype(int))]
     speed = max(1.0, film.end / (len(chosen) / FILM_RATE))
-    bare, views, seen = from_above(scene, FILM.canvas(scene), [film.images[k] for k in chosen])
+    bare, views, seen = rectify_images(scene, FILM.canvas(scene), [film.images[k] for k in chosen])
     times = film.image_time[chosen]
     places = [scene.until(t)[-1] for t in times]
     forces = [scene.forces(t, np.nan_to_num(at)) for t, at in zip(times, places, strict=True)]
@@ -452,7 +452,7 @@ def class_sample(scene: Scene, label: str, radius: float) -> Sample:
     return Sample(wide, draw, ", ".join(labels))
 
 
-def from_above(
+def rectify_images(
     scene: Scene, canvas: Canvas, images: Sequence[np.ndarray]
 ) -> tuple[np.ndarray, list[np.ndarray], list[np.ndarray]]:
     """Rectify images to a view from above, in the scale of the canvas.
