@@ -155,7 +155,7 @@ def files_of(module: str) -> dict[str, str]:
         Python file is larger than `MAX_SOURCE_BYTES` or names too many paths, or folders are nested
         too deeply.
     """
-    files = sorted(_files(module).items())
+    files = sorted(_source_files(module).items())
     size = sum(path.stat().st_size for _, path in files)
     if len(files) > MAX_FILES or size > MAX_BYTES:
         raise PlateError(

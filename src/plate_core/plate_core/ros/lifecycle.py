@@ -90,7 +90,7 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
         self._publisher_monitors: dict[str, PublisherMonitor] = {}
         self._kept: list[tuple[Callable[[Any], Any], Any]] = []
         self.options = self._given = declare(self, kind)
-        self._follow = follow(self, self._given, self._apply_options, self._refusal)
+        self._follow = follow(self, self._given, self._apply_options, self._active_refusal)
         # `_refuse_clock_change` is added last, because rclpy calls the callbacks in reverse order.
         self.add_on_set_parameters_callback(self._refuse_clock_change)
 
@@ -253,7 +253,7 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
         method, for example for `ros2 param`."""
         return set_parameters(self, parameter_list, super().set_parameters_atomically)
 
-    def _refusal(self, name: str, spec: Spec) -> str:
+    def _active_refusal(self, name: str, spec: Spec) -> str:
         if spec.live or not self.active:
             return ""
         return (

@@ -24,7 +24,7 @@ from rclpy.signals import SignalHandlerOptions
 from ..ending import ends, piped
 from ..errors import PlateError
 from ..network import choose_network, memory_problem, ros_domain
-from .console import never_held
+from .console import nonblocking_stderr
 from .executor import NodeExecutor
 from .lifecycle import SafeLifecycleNode, start_nodes
 from .usage import check_parameter_files, print_help
