@@ -125,7 +125,7 @@ def draft(path: str | Path, what: str, keeps: bool = True) -> Iterator[BinaryIO]
     path = Path(path)
     beside = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        with open(_create(beside), "wb") as file:
+        with open(beside, "wb", opener=lambda name, _: _create(Path(name))) as file:
             with contextlib.suppress(FileNotFoundError):
                 shutil.copymode(path, beside)
             yield file
