@@ -31,9 +31,9 @@ extern "C" void product_of(const double* a, const double* b, double* result) {
 
 ELSEWHERE = """
 import json, sys
-from tasks.sameness import trace
+from tasks.sameness import run_trace
 if __name__ == "__main__":
-    print(json.dumps([trace(sys.argv[1], seed) for seed in (4, 3)]))
+    print(json.dumps([run_trace(sys.argv[1], seed) for seed in (4, 3)]))
 """
 
 
