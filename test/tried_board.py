@@ -37,7 +37,7 @@ class TriedBoard(EmulatedBoard):
     def reset(self) -> None:
         """Reset the chip, and let it start. Its memory keeps its content."""
         self._debugger.order(f"qRcmd,{b'system_reset'.hex()}")
-        self._rest(0)
+        self._run_until_idle(0)
 
     def jump(self, address: int) -> None:
         """Let the processor continue at an address, valid or invalid."""

@@ -216,7 +216,7 @@ def test_what_is_off_costs_nothing(monkeypatch):
     def never(*_):
         raise AssertionError
 
-    for name in ("swept", "scaled", "camera_place"):
+    for name in ("sweep_outlines", "scale_outlines", "camera_place"):
         monkeypatch.setattr(camera_module, name, never)
     monkeypatch.setattr("scipy.ndimage.gaussian_filter", never)
     rig = replace(load_rig(), camera=replace(load_rig().camera, lens=None))

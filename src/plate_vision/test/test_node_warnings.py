@@ -122,8 +122,8 @@ def test_markers_do_not_hide_a_wrong_lens(make_plate, marked_rig, rng, k1, text)
     try:
         for k in range(5):
             graph.answer(image(plate.take(np.zeros(3), rng), 1.0 + 0.1 * k))
-        found = graph.detector._find(0.0)
-        assert text in graph.detector._values()["plate_outline"]
+        found = graph.detector._diagnose(0.0)
+        assert text in graph.detector._diagnostic_values()["plate_outline"]
     finally:
         graph.close()
     if k1 == 0:
