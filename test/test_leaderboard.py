@@ -58,7 +58,7 @@ def test_better_and_faster_agents_come_first(tmp_path):
     assert lines[0] == ("| [fast](../../benchmarks/fast.json) | 20/20 | 5.0 | 2.5 | 0 |")
     assert "| 1/20 (1-24 %) | 1.0 |" in lines[2]
     (tmp_path / "none.json").write_text(json.dumps(result("none", 0, 9.0)), encoding="utf-8")
-    failed = "\n\nNo completed episode: [none](../../benchmarks/none.json).\n"
+    failed = "\n\nNo completed episode: none: [nominal](../../benchmarks/none.json).\n"
     assert failed in leaderboard.tables(tmp_path)
     forged = result("slow", 20, 9.0)
     forged["tasks"]["Sort4-v1"] = {"rows": forged["tasks"]["Sort4-v1"]["rows"], "success": 9.0}

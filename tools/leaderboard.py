@@ -77,8 +77,14 @@ def tables(folder: Path) -> str:
             text += f"\n| {' | '.join(columns)} |\n|{'---|' * len(columns)}\n"
             for cells in listed:
                 text += f"| {' | '.join(cells[key] for key in columns)} |\n"
-        if failed := ", ".join(cells["agent"] for order, cells in rows if not order[2]):
-            text += f"\nNo completed episode: {failed}.\n"
+        failed: dict[str, list[str]] = {}
+        for name, result in sorted(there.items()):
+            if not any(own["success"] for own in result["tasks"][task]["rows"]):
+                link = f"[{result['world']}](../../benchmarks/{name})"
+                failed.setdefault(result["agent"], []).append(link)
+        if failed:
+            by_agent = "; ".join(f"{agent}: {', '.join(own)}" for agent, own in failed.items())
+            text += f"\nNo completed episode: {by_agent}.\n"
     return text
 
 
