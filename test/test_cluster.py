@@ -137,6 +137,12 @@ def test_a_late_worker_takes_over_from_all_that_have_died(processes, pool):
     assert late.pid in {run.result()[1] for run in runs}
 
 
+def changed_worker(processes, folder, code):
+    """Start a worker that executes `code` first."""
+    (folder / "change.py").write_text(code, encoding="utf-8")
+    return processes.worker("--preload", str(folder / "change.py"))
+
+
 SLOW_ADMISSION = """
 import asyncio
 from distributed import Worker
@@ -151,10 +157,9 @@ Worker.set_resources = slow
 
 def test_waiting_runs_reach_a_worker_that_is_admitted_slowly(processes, tmp_path):
     """Dask's memory monitor checks the status of the worker several times during the admission."""
-    (tmp_path / "slow.py").write_text(SLOW_ADMISSION, encoding="utf-8")
     with Cluster(processes.address) as pool:
         runs = submitted(pool, 3)
-        processes.worker("--preload", str(tmp_path / "slow.py"))
+        changed_worker(processes, tmp_path, SLOW_ADMISSION)
         assert numbers(runs) == list(range(3))
 
 
@@ -176,10 +181,9 @@ Worker.set_resources = lost_once
 
 
 def test_a_worker_is_admitted_again_if_the_scheduler_did_not_receive_it(processes, tmp_path):
-    (tmp_path / "lost.py").write_text(LOST_ADMISSION, encoding="utf-8")
     with Cluster(processes.address) as pool:
         runs = submitted(pool, 3)
-        processes.worker("--preload", str(tmp_path / "lost.py"))
+        changed_worker(processes, tmp_path, LOST_ADMISSION)
         assert [run.result(20.0)[2] for run in runs] == list(range(3))
 
 

@@ -209,9 +209,9 @@ def test_the_client_continues_after_an_exception_in_a_callback():
     """The exception is logged with its traceback."""
     text = """
 from std_msgs.msg import Empty
-heard = []
+messages = []
 def on_message(msg):
-    heard.append(msg)
+    messages.append(msg)
     raise ZeroDivisionError("in a callback")
 with PlateClient.connect() as plate:
     plate.node.create_subscription(Empty, "empty", on_message, 10)
@@ -219,7 +219,7 @@ with PlateClient.connect() as plate:
     for count in (1, 2):
         def received():
             publisher.publish(Empty())
-            return len(heard) >= count
+            return len(messages) >= count
         assert plate._until(received, 20.0)
     assert not plate.found("sort_parts")
 """

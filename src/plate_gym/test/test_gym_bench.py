@@ -151,10 +151,10 @@ def test_more_than_the_summary_is_noticed(bench, result, monkeypatch):
 def test_wrong_results_and_results_of_other_code_are_reported(bench, result, monkeypatch):
     rows = {row["seed"]: row for row in result["tasks"]["Sort4-v1"]["rows"]}
     monkeypatch.setattr(bench, "episode", lambda agent, world, task, seed: rows[seed])
-    told = []
-    assert bench.check(result | {"sources": "00"}, told.append) == []
+    reports = []
+    assert bench.check(result | {"sources": "00"}, reports.append) == []
     took = f"{result['tasks']['Sort4-v1']['decision_ms']:.3g}"
-    assert told == [
+    assert reports == [
         f"agent A, commit {result['commit'] or 'unknown'}",
         f"sources is 00 in the result, and {bench.sources()} here",
         "Sort4-v1: the result has seeds 0:2",
@@ -174,30 +174,31 @@ def test_seeds_of_any_size_are_run_again(bench, result, monkeypatch):
 
     monkeypatch.setattr(bench, "episode", episode)
     found = json.loads(json.dumps(bench.evaluate("A", "Sort4-v1", seeds)))
-    told = []
-    assert bench.check(found, told.append) == []
+    reports = []
+    assert bench.check(found, reports.append) == []
     assert asked == 2 * seeds
-    assert told[1] == f"Sort4-v1: the result has seeds 1, {2**63}:{2**63 + 2}"
+    assert reports[1] == f"Sort4-v1: the result has seeds 1, {2**63}:{2**63 + 2}"
 
 
 @pytest.mark.parametrize("good", [True, False])
 def test_fresh_seeds_show_a_share_that_was_picked(bench, result, monkeypatch, good):
     """An agent that does well on the seeds that it hands in only."""
-    row, told = result["tasks"]["Sort4-v1"]["rows"][0], []
+    row, reports = result["tasks"]["Sort4-v1"]["rows"][0], []
 
     def episode(agent, world, task, seed):
         return row | {"seed": seed, "success": world == "nominal" and (good or seed < 20)}
 
     monkeypatch.setattr(bench, "episode", episode)
     found = json.loads(json.dumps(bench.evaluate("A", "Sort4-v1", range(20))))
-    wrong = bench.check(found, told.append, fresh=20)
+    wrong = bench.check(found, reports.append, fresh=20)
     assert wrong == (
         [] if good else ["Sort4-v1: success is 1.0 in the result, 0.0 with fresh seeds"]
     )
-    assert ", nominal, fresh seeds " in told[-1]
-    assert bench.check(found, told.append, fresh=20, world="held_out") == []  # nothing was claimed
-    assert "   0 % (0 to 16)" in told[-1]
-    assert ", held_out, fresh seeds " in told[-1]
+    assert ", nominal, fresh seeds " in reports[-1]
+    # nothing was claimed about this world
+    assert bench.check(found, reports.append, fresh=20, world="held_out") == []
+    assert "   0 % (0 to 16)" in reports[-1]
+    assert ", held_out, fresh seeds " in reports[-1]
 
 
 def test_code_is_identified_by_its_content(provenance, tmp_path, monkeypatch):
@@ -342,11 +343,11 @@ def test_long_lists_of_a_result_are_shortened(bench, result, monkeypatch):
     monkeypatch.setattr(bench, "episode", lambda agent, world, task, seed: row | {"seed": seed})
     claimed = json.loads(json.dumps(bench.evaluate("A", "Sort4-v1", range(0, 2000, 2))))
     claimed["versions"] |= dict.fromkeys(map(str, range(9000)), "1")
-    told = []
-    assert bench.check(claimed, told.append) == []
-    assert len(told) == 1 + bench.MAX_OTHER + 3
-    assert told[-3] == "8900 more differences of versions and files"
-    assert max(map(len, told)) < 400
+    reports = []
+    assert bench.check(claimed, reports.append) == []
+    assert len(reports) == 1 + bench.MAX_OTHER + 3
+    assert reports[-3] == "8900 more differences of versions and files"
+    assert max(map(len, reports)) < 400
 
 
 @pytest.mark.parametrize(
@@ -695,7 +696,7 @@ def ended(main):
 
 
 @pytest.mark.parametrize(
-    ("words", "code", "told"),
+    ("words", "code", "message"),
     [
         (["--agent", "C"], 2, "error: agent is 'C', allowed: B, A, "),
         (["--check", "nowhere.json"], 2, "error: nowhere.json: no such file"),
@@ -728,7 +729,7 @@ def ended(main):
     ],
 )
 def test_the_command_reports_errors(
-    bench, result, words, code, told, tmp_path, monkeypatch, capsys
+    bench, result, words, code, message, tmp_path, monkeypatch, capsys
 ):
     rows = {row["seed"]: row for row in result["tasks"]["Sort4-v1"]["rows"]}
     monkeypatch.setattr(bench, "episode", lambda agent, world, task, seed: rows[seed])
@@ -743,7 +744,7 @@ def test_the_command_reports_errors(
     monkeypatch.setattr(sys, "argv", ["bench", *words])
     assert ended(bench.main) == code
     said = capsys.readouterr()
-    assert told in said.out + said.err
+    assert message in said.out + said.err
 
 
 def test_the_speed_of_each_size_is_reported(monkeypatch, capsys):

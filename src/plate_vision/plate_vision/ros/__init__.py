@@ -1,7 +1,8 @@
-"""The parts of the detector node that are not needed for detection: the view that helps to aim the
-camera, and the conversion of camera_info."""
+"""The parts of the detector node that are not needed for detection: its parameters, the view that
+helps to aim the camera, and the conversion of camera_info."""
 
 from .aiming import AimingView
 from .lens import lens_of
+from .parameters import DetectorParameters
 
-__all__ = ["AimingView", "lens_of"]
+__all__ = ["AimingView", "DetectorParameters", "lens_of"]
