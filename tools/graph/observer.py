@@ -491,7 +491,7 @@ class Observer:
             if driver is not None and driver.state == DriverStatus.ERROR:
                 waits = driver.reason in UNCONNECTED
             if waits:
-                self._waiting_for_driver()
+                self._show_driver_wait()
             return not waits
 
         def enabled() -> bool:
@@ -506,7 +506,7 @@ class Observer:
             raise GraphError(f"enable refused: {answer.message}")
         self.await_ready()
 
-    def _waiting_for_driver(self) -> str:
+    def _show_driver_wait(self) -> str:
         """Show that the program waits for the driver, and return the driver's last report."""
         reported = "nothing" if self.record.driver is None else str(self.record.driver.text)
         self._waiting(f"waiting for the driver, it reports: {reported}")
@@ -522,7 +522,7 @@ class Observer:
         """
         end = time.monotonic() + READY_S
         while not self.until(lambda: self.record.ready, REPORT_S):
-            reported = self._waiting_for_driver()
+            reported = self._show_driver_wait()
             if time.monotonic() > end:
                 raise GraphError(
                     f"the driver was not ready after {READY_S:g} s, its last report: {reported}"

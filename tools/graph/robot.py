@@ -109,13 +109,13 @@ class Robot:
 
     def answer(self, timeout_s: float = ANSWER_S) -> tuple[int, str]:
         """Wait for a reply, and return its code and text. Raise the same errors as `ask`."""
-        if not self.observer.until(self._has_reply, timeout_s):
+        if not self.observer.until(self._receive_reply, timeout_s):
             raise GraphError(f"the feeder has not answered within {timeout_s:g} s")
         line, _, self._text = self._text.partition(b"\n")
         code, _, text = line.decode().strip().partition(" ")
         return int(code), text
 
-    def _has_reply(self) -> bool:
+    def _receive_reply(self) -> bool:
         try:
             data = self._socket.recv(4096)
         except BlockingIOError:

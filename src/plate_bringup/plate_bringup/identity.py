@@ -155,7 +155,7 @@ def files_of(module: str) -> dict[str, str]:
         Python file is larger than `MAX_SOURCE_BYTES` or names too many paths, or folders are nested
         too deeply.
     """
-    files = sorted(_source_files(module).items())
+    files = sorted(_module_files(module).items())
     size = sum(path.stat().st_size for _, path in files)
     if len(files) > MAX_FILES or size > MAX_BYTES:
         raise PlateError(
@@ -172,7 +172,7 @@ def files_of(module: str) -> dict[str, str]:
 def libraries_of(module: str) -> dict[str, str]:
     """Return the versions of the installed libraries that the files of a module import."""
     names = {
-        name for path in _source_files(module).values() for name in _find_imports_and_paths(path)[0]
+        name for path in _module_files(module).values() for name in _find_imports_and_paths(path)[0]
     }
     among = packages_distributions() if names else {}
     own = {f"plate_{name}" for name in PACKAGES}
@@ -183,7 +183,7 @@ def libraries_of(module: str) -> dict[str, str]:
     }
 
 
-def _source_files(module: str) -> dict[str, Path]:
+def _module_files(module: str) -> dict[str, Path]:
     """Return the paths of the files whose digests `files_of` returns, by the same keys."""
     spec = _find_spec(module)
     if folders := _package_folders(spec):

@@ -120,7 +120,8 @@ class Episode:
         self._printed, self._line = 0, ""
         self._decoder = codecs.getincrementaldecoder("utf-8")("replace")
         self._reserve = {
-            name: min(SPARE_BYTES, free / 2) for name, free in _free(request["folder"]).items()
+            name: min(SPARE_BYTES, free / 2)
+            for name, free in _free_bytes(request["folder"]).items()
         }
 
     def run(self) -> dict[str, Any]:
@@ -294,7 +295,7 @@ class Episode:
         limit = 1e9 * self._limits.memory_gb
         if sum(map(_resident, processes)) > limit and sum(map(_proportional, processes)) > limit:
             return self._too_large()
-        for name, free in _free(self._request["folder"]).items():
+        for name, free in _free_bytes(self._request["folder"]).items():
             if free < self._reserve.get(name, 0):
                 raise PlateError(
                     f"{self._where()}: stopped, because only {free / 1e9:.2g} GB of {name} are free"
@@ -414,7 +415,7 @@ def _tasks_of_user() -> int:
     return count
 
 
-def _free(folder: str) -> dict[str, float]:
+def _free_bytes(folder: str) -> dict[str, float]:
     """Return the free memory, and the free space on the disks of the working directory `folder` and
     of temporary files [bytes]."""
     found: dict[str, float] = {"memory": 1024 * _number("meminfo", b"MemAvailable:")}

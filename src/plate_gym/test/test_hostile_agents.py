@@ -223,7 +223,7 @@ def test_a_reply_of_another_form_is_refused(bench, text):
     ids=["runs", "dead"],
 )
 def test_signs_of_life_that_an_agent_sends_end(bench, tmp_path, monkeypatch, end, words):
-    """In place of a supervisor that the agent has stopped or ended."""
+    """An agent can stop its supervisor and send these lines itself. The wait must still end."""
     program = tmp_path / "supervisor"
     program.write_text(f"#!/bin/sh\nfor k in $(seq 200); do echo .; sleep 0.1; done {end}\n")
     program.chmod(0o700)
@@ -259,7 +259,8 @@ def test_signs_of_life_do_not_prolong_an_episode_for_ever(bench, hostile, tmp_pa
 def test_an_episode_ends_before_files_fill_the_computer(bench, hostile, tmp_path, full):
     """The run ends too, because other programs may have made the files."""
     code = (
-        f"free = iter([2e9, 0.51e9])\nown._free = lambda folder: {{'{full}': next(free, 0.49e9)}}"
+        "free = iter([2e9, 0.51e9])\n"
+        f"own._free_bytes = lambda folder: {{'{full}': next(free, 0.49e9)}}"
     )
     reply = reply_of(bench, "Never", tmp_path, code)
     assert reply["error"].endswith(f"step 0: stopped, because only 0.49 GB of {full} are free")
@@ -270,10 +271,12 @@ def test_free_memory_and_disks_are_those_of_the_system(bench, tmp_path):
 
     import plate_gym.supervisor
 
-    free = plate_gym.supervisor._free(str(tmp_path))
+    free = plate_gym.supervisor._free_bytes(str(tmp_path))
     assert free["the disk"] == pytest.approx(shutil.disk_usage(tmp_path).free, rel=0.2)
     assert 0 < free["memory"] < os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    assert set(plate_gym.supervisor._free(str(tmp_path / "deleted"))) == set(free) - {"the disk"}
+    assert set(plate_gym.supervisor._free_bytes(str(tmp_path / "deleted"))) == set(free) - {
+        "the disk"
+    }
 
 
 @pytest.mark.parametrize("name", ["Daemon", "DaemonOfKiller", "NamelessOfKiller"])

@@ -89,14 +89,14 @@ class Lockstep(Generic[Image, Start]):
             follows_request = self.request_ns is not None and stamp_ns > self.request_ns
             if follows_request and (self.unanswered or not self._goal_received):
                 return None
-            if self._is_start_missing(stamp_ns):
+            if self._update_start_missing(stamp_ns):
                 return None
             starts = list(self._starts)
             self._starts.clear()
         self._image = None
         return image, starts
 
-    def _is_start_missing(self, stamp_ns: int) -> bool:
+    def _update_start_missing(self, stamp_ns: int) -> bool:
         """Whether an image must still wait for the report of the cycle start at which it was
         taken."""
         reported = self._start_ns == stamp_ns

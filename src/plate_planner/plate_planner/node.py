@@ -574,10 +574,10 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         try:
             refused = self._tasks.retarget(msg_to_targets(msg))
         except PlateError as error:
-            self._warn(str(error))
+            self._warn(f"targets: {error}")
             return
         if refused:
-            self._warn("; ".join(refused))
+            self._warn(f"targets: {'; '.join(refused)}")
         self._reports.publish_targets(self._tasks, self._stamp)
 
     def _on_order(self, msg: FeedOrder) -> None:

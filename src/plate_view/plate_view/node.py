@@ -95,7 +95,7 @@ class PageNode(SafeLifecycleNode[Options]):
         self.keep(Operator.close, self._operator)
         self._stops = Stops(self)
         self.keep(Stops.close, self._stops)
-        work = self.create_guard_condition(self._process_queue)
+        work = self.create_guard_condition(self._process_next)
         self.keep(self.destroy_guard_condition, work)
         self._wake = work.trigger
         self._frames = self.managed_timer(FRAME_S, self._on_tick_timer)
@@ -187,7 +187,7 @@ class PageNode(SafeLifecycleNode[Options]):
         self._adapts = True
         self._wake()
 
-    def _process_queue(self) -> None:
+    def _process_next(self) -> None:
         """Execute the next command from the queue. Then return to the ROS executor, so that other
         callbacks can run."""
         if self._inbox:

@@ -171,7 +171,7 @@ def test_the_page_shows_what_was_recorded(bag):
             node._queue_command(
                 None, Command("replay", 1, {})
             )  # received before, by the server's thread
-            node._process_queue()
+            node._process_next()
             assert not node._inbox
         finally:
             node.destroy_node()

@@ -90,7 +90,7 @@ def _until_of_closed(true: Callable[[], bool], timeout_s: float) -> bool:
 
 
 def _skip_destructors() -> None:
-    """Let this forked process end without the destructors of C++ libraries. The destructors of DDS
+    """Skip the destructors of C++ libraries when this forked process exits. The destructors of DDS
     need threads that only the parent process has, so they would crash the process."""
     libc = ctypes.CDLL(None)
     libc.on_exit(libc._exit, None)  # glibc calls `_exit` with the exit code
@@ -388,7 +388,8 @@ class PlateClient:
 
     def _on_report(self, msg: DiagnosticArray) -> None:
         for report in msg_to_reports(msg):
-            if report.node == "planner" and (refusal := report.values.get("refusal")):
+            refusal = report.values.get("refusal", "")
+            if report.node == "planner" and refusal.startswith("targets: "):
                 self._refusal, self._refused_at = refusal, time.monotonic()
 
     def wait(

@@ -99,7 +99,7 @@ UNCONNECTED = (DriverReason.NO_ANSWER, DriverReason.PORT)
 """Reasons in the report while the transport waits for the device."""
 
 CALL_AGAIN = "; call again"
-"""Last words of the refusal of an enable command while the transport waits for the device."""
+"""End of the message that refuses an enable command while the device is not connected."""
 
 CONDITIONS = {
     State.OFF: Condition.OFF,

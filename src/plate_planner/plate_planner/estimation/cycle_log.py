@@ -205,7 +205,7 @@ class CycleLog:
         `requested` is the start time of the cycle during which the image for this cycle's request
         was taken [s]. Default: the start of the running cycle.
         """
-        if not _is_playable(cycle):
+        if not _has_allowed_lengths(cycle):
             return self
         if requested is None:
             requested = self.begin if self.runs else arrival
@@ -217,7 +217,7 @@ class CycleLog:
     def started(self, cycle: PlateCycle, begin: float, triggered: bool = False) -> CycleLog:
         """Record the report that the plate began a cycle at the time `begin` [s]. A repeated report
         changes nothing. `triggered` states whether images are taken at cycle starts."""
-        if not _is_playable(cycle):
+        if not _has_allowed_lengths(cycle):
             return self
         if self._clock_was_reset(begin):
             return CycleLog(((begin, cycle),), free_running=not triggered, last_report=begin)
@@ -411,7 +411,7 @@ def _is_same_cycle(one: PlateCycle, other: PlateCycle) -> bool:
     return a.shape == b.shape and bool(np.all(np.abs(a - b) < SAME_POSE))
 
 
-def _is_playable(cycle: PlateCycle) -> bool:
+def _has_allowed_lengths(cycle: PlateCycle) -> bool:
     """Whether the lengths of a cycle and its tail are in the range that the log accepts."""
     return all(MIN_S <= part.period <= MAX_S for part in cycle.parts)
 

@@ -291,8 +291,8 @@ class Goal:
         )
 
     def error(self, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Compute the errors (R,) [m] for the coordinates `end` (C,) at the end of a cycle. Return
-        the errors and their negative derivatives (R, C).
+        """Return the errors (R,) [m] of the parts' coordinates `end` (C,) after a cycle, and the
+        negative derivatives of the errors (R, C).
 
         The first C errors belong to the coordinates. The other errors belong to pairs of parts that
         are too close to each other.
