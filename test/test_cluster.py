@@ -234,6 +234,40 @@ def test_what_is_canceled_ends_on_the_workers(pool, processes, messages):
         assert len({run.result(WAIT_S)[1] for run in submitted(again, 8)}) == 2
 
 
+def test_a_run_ends_on_a_worker_of_which_the_cluster_does_not_know_yet(processes, monkeypatch):
+    """Another cluster of the same code has accepted the worker."""
+    for _ in range(2):
+        processes.worker()
+    monkeypatch.setattr(cluster, "POLL_S", 1000.0)
+    run = "(open({!r}, 'w').close(), sum(0 for _ in iter(int, 1)))"
+    begun = [processes.folder / f"begun{k}" for k in range(2)]
+    with Cluster(processes.address) as unknowing:
+        monkeypatch.undo()
+        for file in begun:
+            unknowing.submit(eval, run.format(str(file)))
+        with Cluster(processes.address) as again:
+            until(lambda: all(file.exists() for file in begun))
+            unknowing.shutdown()
+            assert len({run.result(WAIT_S)[1] for run in submitted(again, 8)}) == 2
+
+
+def test_no_waiting_run_begins_after_a_stop(processes):
+    """The message that cancels a run can reach a worker after the message that stops its run."""
+    processes.worker()
+    run = "(open({!r}, 'w').close(), sum(0 for _ in iter(int, 1)))"
+    begun = [processes.folder / f"begun{k}" for k in range(3)]
+    pool = Cluster(processes.address)
+    results = [pool.submit(eval, run.format(str(file))) for file in begun]
+    until(begun[0].exists)
+    until(lambda: len(pool._sent) == 3)
+    pool._sent.clear()  # nothing is canceled on the scheduler
+    pool.shutdown()
+    assert all(result.cancelled() for result in results)
+    with Cluster(processes.address) as again:
+        assert numbers(submitted(again, 2)) == [0, 1]
+    assert [file.exists() for file in begun] == [True, False, False]
+
+
 def test_an_error_of_a_run_is_raised_here(pool):
     with pytest.raises(ZeroDivisionError):
         pool.submit(eval, "1 / 0").result(WAIT_S)

@@ -104,7 +104,6 @@ class Cluster(Executor):
         self._sent: dict[Future[Any], Future[Any]] = {}
         self._lost: set[Future[Any]] = set()
         self._refusals: dict[str, str] = {}
-        self._admitted: list[str] = []
         self._ending, self._waits = threading.Event(), False
         served = "dashboard" in self._scheduler_info()["services"]
         report(f"cluster {address}, " + (self._client.dashboard_link if served else "no dashboard"))
@@ -142,9 +141,10 @@ class Cluster(Executor):
         self._client.close(timeout=STOP_S)
 
     def _stop_runs(self) -> None:
-        if self._admitted and self._client.status == "running":
-            call = (_stop_run, self._token, self._end)
-            self._client.run(*call, workers=self._admitted, on_error="ignore")
+        """End the runs on all workers. A worker can have received a run although it is not yet
+        known here that this worker is accepted."""
+        if self._client.status == "running":
+            self._client.run(_stop_run, self._token, self._end, on_error="ignore")
 
     def _submit_run(self, result: Future[Any]) -> None:
         """Send a run to the scheduler."""
@@ -223,31 +223,29 @@ class Cluster(Executor):
             If all workers are refused.
         """
         for _ in range(int(FIRST_S / POLL_S)):
-            count = self._check_new_workers()
-            if self._admitted:
-                return
-            if not count:
+            count, accepted = self._check_new_workers()
+            if accepted or not count:
                 return
             if self._waits:
                 raise PlateError(f"cluster {self._address}: all {count} workers are refused")
             self._ending.wait(POLL_S)
 
-    def _check_new_workers(self) -> int:
+    def _check_new_workers(self) -> tuple[int, int]:
         """Start the check of each new worker. If all workers are refused or there is no worker,
-        report this. Return the number of workers."""
+        report this. Return the number of workers, and the number of accepted workers."""
         workers = self._scheduler_info()["workers"]
-        self._admitted = [name for name, one in workers.items() if self._key in one["resources"]]
+        accepted = {name for name, one in workers.items() if self._key in one["resources"]}
         for name in set(self._refusals) - set(workers):
             self._refusals.pop(name, None)
-        for name in set(workers) - set(self._refusals) - set(self._admitted):
+        for name in set(workers) - set(self._refusals) - accepted:
             self._refusals[name] = ""
             threading.Thread(target=self._check_worker, args=(name,), daemon=True).start()
-        if self._waits != (waits := not self._admitted and all(self._refusals.values())):
+        if self._waits != (waits := not accepted and all(self._refusals.values())):
             self._waits = waits
             if waits:
                 refused = f"; all {len(workers)} are refused" if workers else ""
                 self._report(f"waiting for workers{refused}")
-        return len(workers)
+        return len(workers), len(accepted)
 
     def _scheduler_info(self) -> Any:
         """Return information about the scheduler and its workers. `Client.scheduler_info` is not
@@ -339,6 +337,12 @@ _RUNNING: dict[str, int] = {}
 """Identifier of the thread that executes the present run on this worker. The key is the token of
 the run's `Cluster`."""
 
+_STOPPED: set[str] = set()
+"""Tokens of the clusters that have been shut down. Their waiting runs do not start."""
+
+_LOCK = threading.Lock()
+"""Held while `_RUNNING` or `_STOPPED` changes, and while an exception is raised in a run."""
+
 
 class _Stopped(Exception):
     """Exception that ends a run on a worker when the cluster is shut down."""
@@ -346,23 +350,32 @@ class _Stopped(Exception):
 
 def _run_on_worker(token: str, call: bytes) -> Any:
     """Run a function on a worker, and register its thread so that `_stop_run` can end it."""
-    _RUNNING[token] = threading.get_ident()
+    with _LOCK:
+        if token in _STOPPED:
+            raise _Stopped
+        _RUNNING[token] = threading.get_ident()
     try:
         function, args, kwargs = pickle.loads(call)
         return function(*args, **kwargs)
     finally:
-        _RUNNING.pop(token, None)
+        with _LOCK:
+            # Python raises the exception of `_stop_run` after this call at the latest. It is not
+            # raised in the code of Dask.
+            _RUNNING.pop(token, None)
 
 
 def _stop_run(token: str, end: Callable[[], object] | None) -> None:
-    """End the present run of a `Cluster` on this worker. `shutdown` calls this function."""
-    if (thread := _RUNNING.get(token)) is None:
-        return
+    """End the present run of a `Cluster` on this worker, and let no waiting run of it start.
+    `shutdown` calls this function."""
+    with _LOCK:
+        _STOPPED.add(token)
+        if (thread := _RUNNING.get(token)) is None:
+            return
+        if end is None:
+            raised = ctypes.py_object(_Stopped)
+            ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), raised)
     if end is not None:
         end()
-    else:
-        raised = ctypes.py_object(_Stopped)
-        ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), raised)
 
 
 async def _compare_and_admit(

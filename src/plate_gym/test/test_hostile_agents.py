@@ -37,6 +37,10 @@ def noted(process):
     with open("pids", "a") as file:
         print(process, file=file)
 
+def until_noted(count):
+    Path("pids").touch()
+    while Path("pids").read_bytes().count(b"\\n") < count: time.sleep(0.01)
+
 def sends(reply):
     os.write(3, json.dumps(reply).encode() + b"\\n")
     time.sleep(1e6)
@@ -100,6 +104,7 @@ class Daemon(Base):
                 os.closerange(0, 1000)
                 time.sleep(1e6)
             os._exit(0)
+        until_noted(2)
         raise RuntimeError("done")
 class DaemonOfKiller(Base):
     def do(self):
@@ -108,7 +113,7 @@ class DaemonOfKiller(Base):
             if os.fork(): os._exit(0)
             noted(os.getpid())
             time.sleep(1e6)
-        while not Path("pids").exists(): time.sleep(0.01)
+        until_noted(1)
         os.kill(os.getppid(), signal.SIGKILL)
         time.sleep(1e6)
 class NamelessOfKiller(Base):
