@@ -13,7 +13,6 @@ import pytest
 pytest.importorskip("rclpy")
 
 from cases.goals import send_goals
-from graph.observer import CALL_AGAIN
 from graph.session import session
 from light_graph import LightOptions
 
@@ -21,15 +20,15 @@ from plate_bringup import GraphError
 from plate_client import PlateClient
 from plate_core import PlateError
 from plate_core.tasks import load_scenario
-from plate_driver import transports
 from plate_driver.safety.node import LATE
+from plate_driver.transports import CALL_AGAIN, STOPPED_SINCE
 
 SORT_4 = load_scenario("sort_4")
 
 
-def test_refusals_after_which_the_demo_calls_again_end_with_the_text_that_it_expects():
+def test_the_demo_calls_enable_again_after_a_stall_but_not_after_another_stop():
     assert LATE.endswith(CALL_AGAIN)
-    assert transports.CALL_AGAIN.endswith(CALL_AGAIN)
+    assert not STOPPED_SINCE.endswith(CALL_AGAIN)
 
 
 def test_random_goals_are_all_answered_and_the_plate_rests(tmp_path, monkeypatch):

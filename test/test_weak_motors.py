@@ -49,6 +49,6 @@ def test_parts_are_sorted_within_force_and_heat(method, effort):
 def test_reported_frequencies_are_those_of_the_cycles(solver):
     """The values of check_rig for stroke and speed apply to waves that the solvers produce."""
     made, kinds = solver(load_rig()), (False, True)
-    periods = [made.steering_period(n, lasting=kind) for n in range(1, 8) for kind in kinds]
+    periods = [made.steering_period(n, multi_cycle=kind) for n in range(1, 8) for kind in kinds]
     assert min(1 / period for period in periods) == pytest.approx(CYCLE_HZ[0])
     assert max(4 / period for period in periods) >= CYCLE_HZ[1]

@@ -32,6 +32,7 @@ from plate_core import PlateError
 from plate_core.ros import CAMERA, LATCHED, NodeExecutor, msg_to_reports, nanoseconds
 from plate_core.status import Level
 from plate_core.tasks import Scenario
+from plate_driver.transports import CALL_AGAIN, UNCONNECTED
 from plate_interfaces.msg import DriverStatus, Parts, TaskStatus
 
 from .processes import signals_wait
@@ -65,10 +66,6 @@ FRESH_S = 2.5
 """Maximum wait for new diagnostics of a node [s]. Each node publishes diagnostics once per
 second."""
 
-CALL_AGAIN = "call again"
-"""Last words of a refusal that the driver sends if its process has just stalled, or if the device
-is not connected. Both happen on a busy computer."""
-
 READY_S = 15.0
 """Maximum wait until the driver is ready [s]. Homing of the device can take 5 s."""
 
@@ -84,9 +81,6 @@ PERSONS = (
 STARTING = (DriverStatus.UNCONFIGURED, DriverStatus.INACTIVE, DriverStatus.BRAKING)
 """States of the driver that end without a command. When the first image is answered, the driver may
 still be in one of these states."""
-
-UNCONNECTED = (DriverStatus.NO_ANSWER, DriverStatus.PORT)
-"""Reasons of the state ERROR while the driver waits for the device."""
 
 SETTLE_S = 0.5
 """Time to wait after a stop and a reset of the parts [s]. During this time, the plate comes to rest

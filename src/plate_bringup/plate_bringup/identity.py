@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from plate_core import PlateError, config_path
-from plate_core.files import check_file
+from plate_core.files import read_file
 from plate_solver import METHODS
 
 from .loop import ALIKE, Setup, run
@@ -252,10 +252,11 @@ def _find_imports_and_paths(path: Path) -> tuple[set[str], set[str]]:
     are empty."""
     imported: set[str] = set()
     texts: set[str] = set()
-    if path.suffix == ".py":
-        check_file(path, MAX_SOURCE_BYTES)
+    if path.suffix != ".py":
+        return imported, texts
+    source = read_file(path, MAX_SOURCE_BYTES)
     try:
-        nodes = list(ast.walk(ast.parse(path.read_bytes()))) if path.suffix == ".py" else []
+        nodes = list(ast.walk(ast.parse(source)))
     except (SyntaxError, ValueError, RecursionError, MemoryError):
         nodes = []
     for node in nodes:

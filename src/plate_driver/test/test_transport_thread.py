@@ -13,8 +13,8 @@ from plate_driver.raw_cycle import HEAD_BYTES, POINT_BYTES, check_length
 from plate_driver.setpoints import Statistics
 from plate_driver.setpoints.motor_table import MotorTable
 from plate_driver.status import CHECK_RIG, OFF, UNCERTAIN, driver_status, health
-from plate_driver.transports import Condition, Measured, Order, Report, SimTransport
-from plate_driver.transports.thread import BUSY, STOPPED_SINCE, Latch, TransportThread
+from plate_driver.transports import STOPPED_SINCE, Condition, Measured, Order, Report, SimTransport
+from plate_driver.transports.thread import BUSY, Latch, TransportThread
 
 RIG = load_rig()
 TABLE = MotorTable.rest(RIG, 0.1, 1)

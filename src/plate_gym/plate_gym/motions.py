@@ -17,7 +17,7 @@ and end at rest."""
 PERIOD_S = 0.1
 """Period of each motion [s]."""
 
-CERTAIN = 0.999
+CYCLE_USE = 0.999
 """Maximum fraction of the rig's limits that a motion may use. The fraction is computed from upper
 bounds of the motion's peaks."""
 
@@ -44,7 +44,7 @@ class Motions:
         self.size = 3 * self.basis.size
         self.scale = np.ones((self.basis.size, 3))
         alone = self._use(np.eye(self.size).reshape(self.size, -1, 3))
-        self.scale = CERTAIN / alone.reshape(-1, 3)
+        self.scale = CYCLE_USE / alone.reshape(-1, 3)
 
     def cycle(self, action: np.ndarray) -> tuple[PlateCycle, float]:
         """Convert an action (size,) to a motion. Return the motion, and the fraction of the rig's
@@ -68,8 +68,8 @@ class Motions:
         # The utilisation of the limits is not exactly proportional to the coefficients, because
         # rotations have a quadratic effect. Therefore the scaling is repeated. Usually one
         # repetition is sufficient.
-        while (beyond := used > CERTAIN).any():
-            own[beyond] *= (CERTAIN**2 / used[beyond])[:, None, None]
+        while (beyond := used > CYCLE_USE).any():
+            own[beyond] *= (CYCLE_USE**2 / used[beyond])[:, None, None]
             used[beyond] = self._use(own[beyond])
         return self.basis.cycles(own), used
 

@@ -158,8 +158,8 @@ class Plate:
         """Take an image at the start of the running cycle. If the simulated camera misses this
         image, the previous image remains in `image`."""
         image = self.simulation.capture()
-        # if the camera misses an image, keep the previous image
-        self.image = self.image if image is None else image
+        if image is not None:
+            self.image = image
 
     def sighted(self) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
         """Return what an image would show, or None if the simulated camera misses the image. The
@@ -168,8 +168,7 @@ class Plate:
         parts, state = self.simulation.visible_parts(), self.simulation.state
         if parts is None:
             return None
-        # Usually both are the same array. Then the product need not be computed.
-        there = parts.seen if parts.seen is state.on_plate else parts.seen & state.on_plate
+        there = parts.seen & state.on_plate
         if not self._shared.evaluator.feeds:
             return parts.position, parts.angle, there
         rows = np.array([state.ids.index(name) if name else -1 for name in self.ids])

@@ -210,16 +210,15 @@ class Controller:
         certain = request.plate is not None and request.start is not None
         free_end = method == "sinusoids" and facts.far and certain
         period = solver.steering_period(
-            len(request.parts), facts.rotating or 0, facts.lasting, free_end
+            len(request.parts), facts.rotating_parts or 0, facts.multi_cycle, free_end
         )
-        start = predict_start(
-            rig, request, self._memory, running, facts.rotating is not None, method == "rotations"
-        )
+        rotates = facts.rotating_parts is not None
+        start = predict_start(rig, request, self._memory, running, rotates, method == "rotations")
         self._memory = start.memory
         goal = form_goal(rig, request, start, period, LOOKAHEAD_S if facts.far else 0.0, free_end)
         rest = PlateCycle.rest(period)
         if not np.any(goal.error(goal.end(*finely_sampled(rest)))[0]):
-            if goal.lasting:
+            if goal.multi_cycle:
                 return Answer(rest, None, "all parts are at their targets: plate at rest", 0.0, 0.0)
             return Answer(rest, None, "no motion is requested: plate at rest", 0.0, goal.size)
         for fraction in FRACTIONS:
@@ -247,13 +246,13 @@ def search(
         Length of the cycle [s].
     miss : float
         Maximum acceptable error (root mean square), as a fraction of the requested displacements.
-        If the error is larger, the solver searches from further starts. Not used if `goal.lasting`
-        is True.
+        If the error is larger, the solver searches from further starts. Not used if
+        `goal.multi_cycle` is True.
     until : float
         Deadline of the search [s], as in `MotionSolver.steer`.
     """
-    tolerance = period * (TARGET_TOLERANCE if goal.lasting else DRIFT_TOLERANCE)
-    good_enough = 0.0 if goal.lasting else miss * fraction * goal.size
+    tolerance = period * (TARGET_TOLERANCE if goal.multi_cycle else DRIFT_TOLERANCE)
+    good_enough = 0.0 if goal.multi_cycle else miss * fraction * goal.size
     return solver.steer(goal.times(fraction), tolerance, max(good_enough, tolerance), until)
 
 
@@ -287,7 +286,7 @@ def answer_of(goal: Goal, solution: Solution, fraction: float, period: float) ->
 
     `Answer.error_m` and the residual of the solution refer to the whole goal, not to the fraction.
     """
-    if goal.lasting:
+    if goal.multi_cycle:
         return Answer(solution.cycle, solution, solution.message, 0.0, 0.0, fraction)
     unit = goal.friction_accel[:, None] * period**2
     if fraction < 1:
@@ -300,8 +299,8 @@ def answer_of(goal: Goal, solution: Solution, fraction: float, period: float) ->
             fraction=fraction,
         )
     error = (solution.residual * unit).ravel()
-    if goal.turns is not None:
-        weight = goal.turns.weight[goal.turns.weight > 0]
+    if goal.rotations is not None:
+        weight = goal.rotations.weight[goal.rotations.weight > 0]
         error = np.append(error, weight * goal.angle_errors(np.asarray(solution.predicted)))
     rms = float(np.sqrt(np.mean(error**2)))
     return Answer(solution.cycle, solution, solution.message, rms, goal.size, fraction)
@@ -321,5 +320,5 @@ def refusal(goal: Goal, solution: Solution, rest: PlateCycle) -> Answer:
         status=Status.FAILED,
         fraction=0.0,
     )
-    requested = 0.0 if goal.lasting else goal.size
+    requested = 0.0 if goal.multi_cycle else goal.size
     return Answer(rest, solution, message, requested, requested, 0.0)

@@ -6,7 +6,7 @@
 namespace plate {
 
 void bind_limits(nb::module_& m) {
-    m.attr("MARGIN") = MARGIN, m.attr("CERTAIN") = CERTAIN;
+    m.attr("SEARCH_USE") = SEARCH_USE, m.attr("CYCLE_USE") = CYCLE_USE;
     m.def("limit_use", [](Box pose, Box twist, Box accel, Numbers weight, nb::tuple record,
                           bool linear) {
         const size_t motions = pose.shape(0), count = pose.shape(1);

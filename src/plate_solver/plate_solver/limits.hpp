@@ -12,9 +12,9 @@ namespace plate {
 
 constexpr int MOTORS = 4;
 
-// MARGIN is the largest permitted fraction of the rig's limits in a search. CERTAIN is the largest
-// permitted fraction for a finished cycle.
-constexpr double MARGIN = 0.98, CERTAIN = 0.999;
+// SEARCH_USE is the largest permitted fraction of the rig's limits in a search. CYCLE_USE is the
+// largest permitted fraction for a finished cycle. limits.py lists all such fractions.
+constexpr double SEARCH_USE = 0.98, CYCLE_USE = 0.999;
 
 // The rig's limits, or a fraction of these limits.
 struct Limits {

@@ -14,6 +14,16 @@ maximum of these ratios over all samples, motors and corners:
 The solvers of both methods (rotations and sinusoids) use this module. The check is implemented in
 C++, because a search calls it at every step. `plate_core.motion.usage` does the same check for a
 whole cycle. A test compares the two results.
+
+The solvers use these fractions of the limits. The limits of a search are `SEARCH_USE` times the
+limits of the rig.
+
+    name          value   limits     meaning
+    CYCLE_USE     0.999   rig        maximum utilisation of a finished cycle, by control points
+    SEARCH_USE    0.98    rig        maximum utilisation at the samples of a search's result
+    PENALTY_USE   0.95    search     sinusoids: a higher utilisation counts as an error
+    DESCENT_USE   1.3     search     sinusoids: maximum utilisation in the descents from all starts
+    FINAL_USE     1       search     sinusoids: maximum utilisation in the final corrections
 """
 
 from __future__ import annotations
@@ -28,9 +38,9 @@ from plate_core.motion import PIECES
 
 from . import _kernels
 
-MARGIN: float = _kernels.MARGIN
-"""Fraction of the limits that a search may use. The fraction is below 1 because the samples of a
-search may slightly miss a peak."""
+SEARCH_USE: float = _kernels.SEARCH_USE
+"""Fraction of the rig's limits that a search may use. The fraction is below 1 because the samples
+of a search may slightly miss a peak."""
 
 HEADROOM = 1.1
 """If the motors can accelerate the plate by at least this factor times the acceleration limit in
@@ -39,7 +49,7 @@ the rig file, the force and the heat of the motors are not checked. The factor c
 assumes (test_motors.py). The RMS force, which determines the heat, can be 3 % higher than
 `motor_reach` assumes (test_weak_motors.py)."""
 
-CERTAIN: float = _kernels.CERTAIN
+CYCLE_USE: float = _kernels.CYCLE_USE
 """Largest permitted utilisation of any rig limit by a finished cycle (1: exactly at the limit). The
 utilisation is computed from the control points of the cycle."""
 
@@ -86,7 +96,7 @@ class Limits(NamedTuple):
     forceful: bool
 
     @classmethod
-    def of(cls, rig: Rig, fraction: float = MARGIN) -> Limits:
+    def of(cls, rig: Rig, fraction: float = SEARCH_USE) -> Limits:
         """Return the limits of a rig, multiplied by `fraction`."""
         limits = rig.limits
         weak = rig.motor_reach.accel < HEADROOM * limits.accel
@@ -144,24 +154,24 @@ def within_limits(
     which scales the cycle down.
     """
     used = _use(cycle, full)
-    if used <= CERTAIN:
+    if used <= CYCLE_USE:
         return cycle
     rest = cycle.scaled(0.0) if resting is None else resting()
     rest_use = _use(rest, full)
-    if not rest_use <= CERTAIN:
+    if not rest_use <= CYCLE_USE:
         raise CycleError(
             "the plate cannot stop within the rig's limits from its state at the cycle's start: "
             f"fraction of the limits that the stop uses is {rest_use:.3g}, allowed: 0 to "
-            f"{CERTAIN:g}"
+            f"{CYCLE_USE:g}"
         )
     # four rounds suffice, because the utilisation of the limits is nearly linear in `fraction`
     for _ in range(4):
-        fraction = max((0.9995 * CERTAIN - rest_use) / (used - rest_use), 0.0)
+        fraction = max((0.9995 * CYCLE_USE - rest_use) / (used - rest_use), 0.0)
         times, *states = cycle.knots
         nearer = [b + fraction * (a - b) for a, b in zip(states, rest.knots[1:], strict=True)]
         cycle = PlateCycle.from_knots(times, *nearer)
         used = _use(cycle, full)
-        if used <= CERTAIN:
+        if used <= CYCLE_USE:
             break
     return cycle
 

@@ -102,11 +102,11 @@ class MotionSolver(ABC):
 
     @abstractmethod
     def steering_period(
-        self, count: int, turns: int = 0, lasting: bool = False, free_end: bool = False
+        self, count: int, rotating_parts: int = 0, multi_cycle: bool = False, free_end: bool = False
     ) -> float:
         """Return the period [s] of the cycles that `steer` computes for `count` parts.
 
-        `turns` is the number of parts with a requested rotation. `lasting` and `free_end` are as in
-        `Goal`. `lasting` and `free_end` have no effect on sequences of rotations, because these
-        always end at rest.
+        `rotating_parts` is the number of parts with a requested rotation. `multi_cycle` and
+        `free_end` are as in `Goal`. Both have no effect on sequences of rotations, which always end
+        at rest.
         """

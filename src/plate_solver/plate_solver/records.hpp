@@ -32,13 +32,13 @@ void check(const char* name, const Any& array, std::initializer_list<size_t> exp
     throw nb::value_error(says.c_str());
 }
 
-// Copies a Python array to the C array `target`. The arrays may have up to three axes. Throws an
-// error if the shapes differ.
+// Copies the array in the field `name` of a Python named tuple to the C array `target`. The arrays
+// may have up to three axes. Throws an error if the shapes differ.
 template <class Target>
-void read(const char* name, nb::handle array, Target& target) {
+void read(nb::handle record, const char* name, Target& target) {
     constexpr size_t AXES = std::rank_v<Target>;
     const size_t sizes[] = {std::extent_v<Target, 0>, std::extent_v<Target, 1>, std::extent_v<Target, 2>};
-    const auto from = nb::cast<Array<const double, AXES>>(array);
+    const auto from = field<Array<const double, AXES>>(record, name);
     for (size_t axis = 0; axis < AXES; axis++)
         if (from.shape(axis) != sizes[axis])
             throw nb::value_error((std::string(name) + " has a wrong shape").c_str());
@@ -70,15 +70,15 @@ nb::object to_numpy(MatrixOf<Number>&& matrix) {
 // Converts the Python tuple `Limits` to the C++ struct.
 inline Limits limits_of(const nb::tuple& record) {
     Limits limits{
-        .stroke_m = nb::cast<double>(field(record, 2)),
-        .speed = nb::cast<double>(field(record, 3)),
-        .accel = nb::cast<double>(field(record, 4)),
-        .arm_m = nb::cast<double>(field(record, 5)),
-        .heat = nb::cast<double>(field(record, 8)),
-        .forceful = nb::cast<bool>(field(record, 9)),
+        .stroke_m = field<double>(record, "stroke_m"),
+        .speed = field<double>(record, "speed"),
+        .accel = field<double>(record, "accel"),
+        .arm_m = field<double>(record, "arm_m"),
+        .heat = field<double>(record, "heat"),
+        .forceful = field<bool>(record, "forceful"),
     };
-    read("motors", field(record, 0), limits.motors), read("half", field(record, 1), limits.half);
-    read("levers", field(record, 6), limits.levers), read("loads", field(record, 7), limits.loads);
+    read(record, "motors", limits.motors), read(record, "half", limits.half);
+    read(record, "levers", limits.levers), read(record, "loads", limits.loads);
     return limits;
 }
 

@@ -27,7 +27,7 @@ def heavy(rig):
 
 def goal_of(rig, request, period=0.2, **state):
     """The goal of a request at a plate at rest, with a part of the start state replaced."""
-    rotates = RequestFacts.of(rig, request).rotating is not None
+    rotates = RequestFacts.of(rig, request).rotating_parts is not None
     start = replace(predict_start(rig, request, Memory(), None, rotates, False), **state)
     return form_goal(rig, request, start, period, 0.03, True)
 
@@ -47,8 +47,8 @@ def test_a_force_becomes_an_interval_of_displacements(heavy):
     goal = goal_of(heavy, CycleRequest.make(moving(), force, np.full((2, 2), 1e-4), period=0.1))
     assert goal.displacement == pytest.approx(np.array([[6e-3, -2e-3], [2e-3, 0.0]]))
     assert goal.tolerance == pytest.approx(np.full((2, 2), 0.2e-3))
-    assert (goal.lasting, goal.weight, goal.coast, goal.free_end) == (False, 1.0, 0.0, False)
-    assert goal.turns is None
+    assert (goal.multi_cycle, goal.weight, goal.coast, goal.free_end) == (False, 1.0, 0.0, False)
+    assert goal.rotations is None
 
 
 def test_a_torque_becomes_a_rotation(heavy):
@@ -57,8 +57,8 @@ def test_a_torque_becomes_a_rotation(heavy):
     A torque of 0 requests nothing: its weight is 0, the other's is the part's radius.
     """
     goal = goal_of(heavy, CycleRequest.make(moving(), torque=np.array([4e-5, 0.0]), period=0.1))
-    assert goal.turns.low[0] == goal.turns.high[0] == pytest.approx(0.8, rel=1e-3)
-    assert goal.turns.weight == pytest.approx([RADIUS_M, 0.0], rel=1e-3)
+    assert goal.rotations.low[0] == goal.rotations.high[0] == pytest.approx(0.8, rel=1e-3)
+    assert goal.rotations.weight == pytest.approx([RADIUS_M, 0.0], rel=1e-3)
 
 
 def test_forces_that_lead_off_the_plate_are_cut_at_the_edge(heavy):
@@ -77,10 +77,10 @@ def test_a_target_becomes_an_interval_of_displacements(heavy):
     assert goal.displacement == pytest.approx(np.array([[0.011, 0.0], [0.0, 0.01]]))
     assert goal.tolerance == pytest.approx(np.array([[0.005, 0.0], [0.0, 0.01]]))
     assert np.array_equal(goal.weight, weight)
-    assert (goal.lasting, goal.coast, goal.free_end) == (True, 0.03, True)
+    assert (goal.multi_cycle, goal.coast, goal.free_end) == (True, 0.03, True)
     clear = 2 * RADIUS_M + 0.003
     assert goal.clear == pytest.approx(np.full((2, 2), clear))
-    assert goal.turns is None
+    assert goal.rotations is None
 
 
 def test_a_target_angle_becomes_a_rotation_from_the_predicted_angle(heavy):
@@ -91,8 +91,8 @@ def test_a_target_angle_becomes_a_rotation_from_the_predicted_angle(heavy):
         moving(PLACE[:1], angle=np.array([0.1])), targets=Targets(free, free, free, 0.0, angles)
     )
     goal = goal_of(heavy, request, rotation=np.array([0.05]))
-    assert (goal.turns.low[0], goal.turns.high[0]) == pytest.approx((0.15, 0.35))
-    assert goal.turns.weight[0] == 0.02
+    assert (goal.rotations.low[0], goal.rotations.high[0]) == pytest.approx((0.15, 0.35))
+    assert goal.rotations.weight[0] == 0.02
 
 
 def test_forces_beside_targets_are_information(heavy):
@@ -102,7 +102,7 @@ def test_forces_beside_targets_are_information(heavy):
     with_targets = goal_of(heavy, shown)
     assert np.array_equal(with_targets.displacement, bare.displacement)
     assert np.array_equal(with_targets.tolerance, bare.tolerance)
-    assert with_targets.turns is None
+    assert with_targets.rotations is None
 
 
 def test_facts_of_a_request(rig):
@@ -233,7 +233,7 @@ def test_each_step_gives_the_same_for_the_same_input_and_leaves_the_input_alone(
         found = search(SinusoidCycles(rig, seed=1), goal, 1.0, 0.1, 0.15, np.inf)
         assert not leaves_plate(rig, IDS, goal, found.predicted)
         ends.append(
-            [start.position, start.spin, goal.displacement, goal.turns.low, found.predicted]
+            [start.position, start.spin, goal.displacement, goal.rotations.low, found.predicted]
         )
     for first, second in zip(*ends, strict=True):
         assert np.array_equal(first, second)
@@ -299,7 +299,7 @@ def test_the_error_of_a_fraction_is_relative_to_the_whole_request(rig):
 
 
 def test_a_goal_that_lasts_is_never_missed(rig):
-    goal, found = half_way(rig, lasting=True)
+    goal, found = half_way(rig, multi_cycle=True)
     answer = answer_of(goal, found, 0.5, 0.2)
     assert (answer.error_m, answer.requested_m, answer.fraction) == (0.0, 0.0, 0.5)
     assert answer.solution is found
@@ -314,8 +314,8 @@ def test_in_place_of_a_refused_motion_the_plate_rests_and_all_is_missed(rig):
     assert answer.solution.residual == pytest.approx(np.array([[0.02, -0.04]]))
     assert (answer.solution.success, answer.solution.status) == (False, Status.FAILED)
     assert (answer.fraction, answer.solution.fraction) == (0.0, 0.0)
-    lasting, found = half_way(rig, lasting=True)
-    assert refusal(lasting, found, PlateCycle.rest(0.2)).requested_m == 0.0
+    multi_cycle, found = half_way(rig, multi_cycle=True)
+    assert refusal(multi_cycle, found, PlateCycle.rest(0.2)).requested_m == 0.0
 
 
 def test_a_missed_rotation_counts_by_its_arc(rig):
@@ -323,12 +323,12 @@ def test_a_missed_rotation_counts_by_its_arc(rig):
     request = CycleRequest.make(Parts.make(IDS, PLACE), torque=[1e-6, 0.0])
     start = predict_start(rig, request, Memory(), None, True, False)
     goal = form_goal(rig, request, start, 0.2, 0.0, False)
-    turns = replace(
-        goal.turns, low=np.full(2, 0.3), high=np.full(2, 0.4), weight=np.array([0.02, 0])
+    rotations = replace(
+        goal.rotations, low=np.full(2, 0.3), high=np.full(2, 0.4), weight=np.array([0.02, 0])
     )
     end = np.array([*PLACE.T.ravel(), 0.2, 9.0])
     found = Solution(True, "found", PlateCycle.rest(0.2), np.zeros((2, 2)), 3, 1.0, predicted=end)
-    answer = answer_of(replace(goal, turns=turns), found, 1.0, 0.2)
+    answer = answer_of(replace(goal, rotations=rotations), found, 1.0, 0.2)
     assert answer.error_m == pytest.approx(0.002 / np.sqrt(5))
 
 

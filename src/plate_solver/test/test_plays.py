@@ -44,8 +44,9 @@ def to_the_middle(rig, scene, seed, count=10):
     _, position = scene(seed, count)
     way = np.where(position[:, :1] > 0, -0.1, 0.1) * [1.0, 0.0]
     return Goal(
-        position, 0 * position, way, np.full((count, 2), 0.01), rig.friction.accel, lasting=True,
-        weight=0.03, edge=rig.plate.half - 0.008, coast=0.03, plate=PLATE, free_end=True,
+        position, 0 * position, way, np.full((count, 2), 0.01), rig.friction.accel,
+        multi_cycle=True, weight=0.03, edge=rig.plate.half - 0.008, coast=0.03, plate=PLATE,
+        free_end=True,
     )  # fmt: skip
 
 
@@ -83,18 +84,18 @@ def test_the_finished_cycle_is_the_first_play(rig):
 
 def test_the_prediction_for_two_plays_is_the_map_applied_twice(rig, scene):
     rng, position = scene(3, 5)
-    turns = PartRotations(
+    rotations = PartRotations(
         rng.normal(size=5), np.tile([3e-5, 1e-5, 2e-5], (5, 1)), np.zeros(5), np.zeros(5),
         np.ones(5),
     )  # fmt: skip
     velocity, still = 0.05 * rng.normal(size=(5, 2)), np.zeros((5, 2))
-    goal = Goal(position, velocity, still, still, rig.friction.accel, turns, plate=PLATE)
+    goal = Goal(position, velocity, still, still, rig.friction.accel, rotations, plate=PLATE)
     twice = family_of(rig, 2)
     own = 0.8 * twice.random(rng)
-    state, angle = (position, velocity, np.zeros(5), turns.spin), np.zeros(5)
+    state, angle = (position, velocity, np.zeros(5), rotations.spin), np.zeros(5)
     for play in each_play(rig, own, 2):
         place, speed, turn, spin = end_turning(
-            *state[:2], state[3], turns.spread, *play.samples(own), goal.friction_accel
+            *state[:2], state[3], rotations.spread, *play.samples(own), goal.friction_accel
         )
         state, angle = (place, speed, turn, spin), angle + turn
     end = goal.end(*twice.samples(own))

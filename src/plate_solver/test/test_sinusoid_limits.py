@@ -6,7 +6,7 @@ import pytest
 
 from plate_core.motion import usage
 from plate_solver import Limits
-from plate_solver._kernels import AIM
+from plate_solver._kernels import PENALTY_USE
 from plate_solver.limits import limit_use
 from plate_solver.sinusoids import SinusoidFamily, sinusoid_basis
 
@@ -30,9 +30,9 @@ def test_excess_begins_at_the_aim(limits, excess_of):
     limited = family(limits)
     theta = limited.random(np.random.default_rng(1))
     used = limited.use(theta)
-    assert len(excess_of(limited, limits, (AIM - 1e-3) / used * theta)[0]) == 0
+    assert len(excess_of(limited, limits, (PENALTY_USE - 1e-3) / used * theta)[0]) == 0
     # Only some instants are evaluated: their peak is a little lower.
-    assert len(excess_of(limited, limits, (AIM + 0.1) / used * theta)[0]) > 0
+    assert len(excess_of(limited, limits, (PENALTY_USE + 0.1) / used * theta)[0]) > 0
 
 
 @pytest.mark.parametrize("size", [1.0, 5.0])

@@ -53,23 +53,29 @@ def rms(array):
 
 @BOTH
 @pytest.mark.parametrize(("count", "turning"), [(2, 0), (2, 1), (4, 0), (4, 1), (7, 4), (8, 8)])
-@pytest.mark.parametrize("lasting", [False, True])
-def test_the_announced_period_is_that_of_the_answer(rig, scene, method, count, turning, lasting):
+@pytest.mark.parametrize("multi_cycle", [False, True])
+def test_the_announced_period_is_that_of_the_answer(
+    rig, scene, method, count, turning, multi_cycle
+):
     solver, none = method(rig), np.zeros(count)
-    period = solver.steering_period(count, turning, lasting)
+    period = solver.steering_period(count, turning, multi_cycle)
     weight = np.where(np.arange(count) < turning, 0.01, 0.0)
-    turns = PartRotations(none, np.full((count, 3), 1e-5), none, none, weight) if turning else None
-    goal = replace(random_goal(rig, scene, 0, count, period), turns=turns, lasting=lasting)
+    rotations = (
+        PartRotations(none, np.full((count, 3), 1e-5), none, none, weight) if turning else None
+    )
+    goal = replace(
+        random_goal(rig, scene, 0, count, period), rotations=rotations, multi_cycle=multi_cycle
+    )
     assert solver.steer(goal, 1.0, 1.0).cycle.period == period
 
 
 def test_a_motion_that_ends_with_the_requested_mean_velocity_meets_the_goal_ahead_too(rig, scene):
     period, coast, count = 0.2, 0.03, 3
     rotation = np.array([0.1, -0.2, 0.3])
-    turns = PartRotations(
+    rotations = PartRotations(
         np.zeros(count), np.full((count, 3), 1e-5), rotation, rotation, np.ones(count)
     )
-    goal = replace(random_goal(rig, scene, 0, count, period, 0.0005), turns=turns)
+    goal = replace(random_goal(rig, scene, 0, count, period, 0.0005), rotations=rotations)
     ahead = goal.ahead(coast, period)
     end = np.concatenate([(goal.position + goal.displacement).T.ravel(), rotation])
     moved = np.concatenate([goal.displacement.T.ravel(), rotation])
@@ -191,12 +197,13 @@ def test_a_part_stays_beyond_the_edge_only_on_request(weight, bound):
 
 @pytest.mark.parametrize("wrong", [np.nan, -0.5, np.inf])
 def test_meaningless_weights_are_refused(wrong):
-    none, turns = np.zeros((2, 2)), np.zeros(2)
+    none, angles = np.zeros((2, 2)), np.zeros(2)
     with pytest.raises(PlateError, match=rf"^weight has {wrong:g}, allowed: finite, 0 and above$"):
         Goal(none, none, none, none, 2.45, weight=np.array([[1.0, 1.0], [1.0, wrong]]))
-    turns = PartRotations(turns, np.zeros((2, 3)), turns, turns, np.array([0.01, wrong]))
-    with pytest.raises(PlateError, match=f"^weight of turns has {wrong:g}, "):
-        Goal(none, none, none, none, 2.45, turns=turns)
+    weight = np.array([0.01, wrong])
+    rotations = PartRotations(angles, np.zeros((2, 3)), angles, angles, weight)
+    with pytest.raises(PlateError, match=f"^weight of rotations has {wrong:g}, "):
+        Goal(none, none, none, none, 2.45, rotations=rotations)
 
 
 @pytest.mark.parametrize("count", [1, LANES, LANES + 1])
@@ -266,8 +273,8 @@ def test_four_steps_from_near_a_solution_gain_most_of_what_it_gains(rig, scene):
         rng, position = scene(seed, 10)
         way = np.where(position[:, :1] > 0, -0.1, 0.1) * [1.0, 0.0]
         goal = Goal(
-            position, 0 * position, way, np.full((10, 2), 0.01), rig.friction.accel, lasting=True,
-            weight=0.03, edge=rig.plate.half - 0.008, coast=0.03, free_end=True,
+            position, 0 * position, way, np.full((10, 2), 0.01), rig.friction.accel,
+            multi_cycle=True, weight=0.03, edge=rig.plate.half - 0.008, coast=0.03, free_end=True,
         )  # fmt: skip
         family = family_on_grid(8, 0.1, limits, ROUGH, True)
         problem = Problem.of(goal, Motions.of(family.basis, limits), 1.3)
@@ -289,7 +296,7 @@ def test_a_cycle_goes_on_from_where_the_plate_is_and_parts_go_where_predicted(ri
         last = k == 5
         goal = Goal(
             position, velocity, 2e-3 * np.sign(aim - position) if last else aim - position,
-            np.zeros((4, 2)), rig.friction.accel, lasting=not last, coast=0.0 if last else 0.03,
+            np.zeros((4, 2)), rig.friction.accel, multi_cycle=not last, coast=0.0 if last else 0.03,
             plate=before.state(-1), free_end=not last,
         )  # fmt: skip
         cycle = solver.steer(goal, 1e-5, 1e-4).cycle
@@ -341,7 +348,7 @@ def test_parts_come_to_their_targets_by_many_cycles(rig, method):
             assert cycles < 80
             goal = Goal(
                 position, velocity, (low + high) / 2 - position, (high - low) / 2,
-                rig.friction.accel, lasting=True, weight=0.012 / max(way.max(), 0.01),
+                rig.friction.accel, multi_cycle=True, weight=0.012 / max(way.max(), 0.01),
                 edge=rig.plate.half - 0.024, clear=0.02, coast=0.03,
             )  # fmt: skip
             found = solver.steer(goal, 1e-5, 0.0)
@@ -360,7 +367,7 @@ def test_parts_come_to_their_targets_by_many_cycles(rig, method):
 def test_downhill_is_towards_the_target_that_is_missed_most(rig):
     start, still = np.array([[0.1, 0.0], [-0.1, 0.0]]), np.zeros((2, 2))
     far = np.array([[0.0, 0.1], [0.02, 0.0]])
-    goal = Goal(start, still, far, still, rig.friction.accel, lasting=True)
+    goal = Goal(start, still, far, still, rig.friction.accel, multi_cycle=True)
     np.testing.assert_allclose(goal.downhill(0.01), [[0, 0.01], [0.002, 0]], atol=1e-12)
 
 
@@ -420,4 +427,4 @@ def test_a_plate_that_shakes_little_goes_on_in_longer_cycles(rig):
     weak = replace(rig, limits=replace(rig.limits, accel=5 * rig.friction.accel))
     for one, period in ((rig, 0.1), (weak, 0.2)):
         solver = SinusoidSolver(one)
-        assert solver.steering_period(4, lasting=True, free_end=True) == period
+        assert solver.steering_period(4, multi_cycle=True, free_end=True) == period

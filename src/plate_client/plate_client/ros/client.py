@@ -490,7 +490,6 @@ class PlateClient:
         requested = False
         while True:
             try:
-                self._check_open()
                 task.cancel()
                 requested = True
                 return self.wait(task, CANCEL_S)

@@ -31,7 +31,7 @@ from plate_interfaces.msg import DriverStatus as DriverStatusMsg
 
 from ..status import UNANSWERED
 from ..transport_owner import TransportOwner
-from ..transports import ANSWER_S, Condition, Latch
+from ..transports import ANSWER_S, CALL_AGAIN, Condition, Latch
 
 STATE_PERIOD_S = 0.05
 """Time between checks whether driver_status has changed [s]."""
@@ -60,7 +60,7 @@ ENABLING = "enabling: driver_status reports when the motors are ready"
 NO_REPLY = "the device has not answered yet"
 """Replies to a call of enable or home whose execution takes longer than the reply can wait."""
 
-LATE = "the driver was stalled, so this call may be old: call again"
+LATE = f"the driver was stalled, so this call may be old{CALL_AGAIN}"
 """Reply to a call of enable or home that may have waited while the driver was stalled."""
 
 

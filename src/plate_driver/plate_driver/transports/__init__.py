@@ -5,10 +5,13 @@ implementations `sim` and `serial`. Another package can add a transport, which i
 
 from .line import upload_s
 from .link import LATE_IN_MOTION, Link
-from .serial import CALL_AGAIN, CONNECTING, LEAD_S, Port, SerialTransport, make_serial, open_port
+from .serial import CONNECTING, LEAD_S, Port, SerialTransport, make_serial, open_port
 from .sim import SimTransport, make_sim
 from .thread import ANSWER_S, BUSY, BUSY_S, Latch, TransportThread, urgent
 from .transport import (
+    CALL_AGAIN,
+    STOPPED_SINCE,
+    UNCONNECTED,
     Condition,
     Measured,
     Order,
@@ -28,6 +31,8 @@ __all__ = [
     "CONNECTING",
     "LATE_IN_MOTION",
     "LEAD_S",
+    "STOPPED_SINCE",
+    "UNCONNECTED",
     "Condition",
     "Latch",
     "Link",

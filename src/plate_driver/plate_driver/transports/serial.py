@@ -40,7 +40,16 @@ from plate_core.serial_protocol import (
 from ..setpoints import MAX_KNOTS, MAX_S, MotorTable, SetpointStream, densest, knots, plays
 from .line import upload_s
 from .link import Link
-from .transport import Condition, Measured, Order, Report, TransportContext
+from .transport import (
+    CALL_AGAIN,
+    STOPPED_SINCE,
+    UNCONNECTED,
+    Condition,
+    Measured,
+    Order,
+    Report,
+    TransportContext,
+)
 
 BAUD = 921_600
 
@@ -95,12 +104,6 @@ CONNECTING = Report(
 """Report before the first telemetry. A board that starts when its port is opened can need some
 seconds."""
 
-UNCONNECTED = (DriverReason.NO_ANSWER, DriverReason.PORT)
-"""Reasons in the report while the transport waits for the device."""
-
-CALL_AGAIN = "; call again"
-"""End of the message that refuses an enable command while the device is not connected."""
-
 CONDITIONS = {
     State.OFF: Condition.OFF,
     State.HOMING: Condition.ENABLING,
@@ -126,7 +129,7 @@ OF_DRIVES = Fault.HARDWARE | Fault.SUPPLY | Fault.FOLLOWING
 """Faults for which the report of a drive contains more details."""
 
 REFUSED = {
-    Status.WRONG_STOP: "wrong stop: another stop has arrived since then; call enable again",
+    Status.WRONG_STOP: f"wrong stop: {STOPPED_SINCE}",
     Status.WRONG_STATE: "wrong state: the device brakes, or has a fault that persists",
 }
 """Texts for refused enable and home commands, by the device's answer."""
@@ -480,7 +483,7 @@ class SerialTransport:
         """Make the device brake. If `cut` is True, the device switches off the motor current
         immediately instead. All other pending commands are dropped."""
         self._streamed = self._next = None
-        self._complete_request("another stop has arrived since then; call enable again")
+        self._complete_request(STOPPED_SINCE)
         order = self._make_order(STOP_ANSWER_S)
         if self._closed:
             return order.complete(UNANSWERED)

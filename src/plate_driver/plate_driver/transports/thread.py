@@ -16,7 +16,7 @@ from plate_core import CycleError, PlateError
 from plate_core.driver_status import DriverReason
 
 from ..setpoints import MotorTable
-from .transport import Condition, Measured, Order, Report, Transport
+from .transport import STOPPED_SINCE, Condition, Measured, Order, Report, Transport
 
 T = TypeVar("T")
 
@@ -27,7 +27,6 @@ NO_MOTORS_PERIOD_S = 0.02
 """Time between two polls of a transport without motors [s]. Such a transport uploads nothing, so it
 needs fewer polls."""
 
-STOPPED_SINCE = "another stop has arrived since then; call enable again"
 BUSY = "the transport is busy"
 
 BUSY_S = 0.3

@@ -33,6 +33,17 @@ from ..setpoints import MotorTable
 GROUP = "plate_driver.transports"
 """Entry-point group of transports."""
 
+CALL_AGAIN = "; call again"
+"""End of a reply that refuses enable or home only for the moment, because the device is not
+connected yet or the driver was stalled. A program may repeat the call."""
+
+STOPPED_SINCE = "another stop has arrived since then; call enable again"
+"""Reply to a call of enable before the last stop. It does not end with `CALL_AGAIN`: a program must
+not repeat the call, because only a person may clear a stop."""
+
+UNCONNECTED = (DriverReason.NO_ANSWER, DriverReason.PORT)
+"""Reasons in the report while the transport waits for the device."""
+
 
 class Condition(Enum):
     """State of the motors."""

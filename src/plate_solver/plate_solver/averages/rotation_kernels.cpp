@@ -37,14 +37,13 @@ static nb::object slopes_of_forces(Numbers theta, nb::tuple record, Table positi
 class ForcesRecord {
 public:
     explicit ForcesRecord(const nb::tuple& record)
-        : position(nb::cast<Table>(field(record, 1))), velocity(nb::cast<Table>(field(record, 2))),
-          requested(nb::cast<Numbers>(field(record, 4))),
-          scale(nb::cast<Numbers>(field(record, 5))) {
+        : position(field<Table>(record, "position")), velocity(field<Table>(record, "velocity")),
+          requested(field<Numbers>(record, "requested")), scale(field<Numbers>(record, "scale")) {
         const size_t parts = position.shape(0);
         check("position", position, {parts, 2}), check("velocity", velocity, {parts, 2});
-        std::vector<int> rows = rows_of(nb::cast<Array<const bool, 1>>(field(record, 3)), parts);
+        std::vector<int> rows = rows_of(field<Array<const bool, 1>>(record, "rows"), parts);
         check("requested", requested, {rows.size()}), check("scale", scale, {rows.size()});
-        problem = {sequences_of(nb::cast<nb::tuple>(field(record, 0))), view(position),
+        problem = {sequences_of(field<nb::tuple>(record, "family")), view(position),
                    view(velocity), std::move(rows), view(requested), view(scale)};
     }
 

@@ -10,10 +10,10 @@ namespace plate {
 class RulesRecord {
 public:
     RulesRecord(const nb::tuple& record, size_t rows)
-        : waves(nb::cast<Table>(field(record, 0))), taylor(nb::cast<Table>(field(record, 2))) {
+        : waves(field<Table>(record, "waves")), taylor(field<Table>(record, "taylor")) {
         check("waves", waves, {rows, waves.shape(1)});
         check("taylor", taylor, {DEGREE + 1, rows / 2});
-        rules = {view(waves), nb::cast<int>(field(record, 1)), view(taylor), nb::cast<int>(field(record, 3))};
+        rules = {view(waves), field<int>(record, "few"), view(taylor), field<int>(record, "pieces")};
         const int few = rules.few, usual = rules.waves.size(1) - few;
         if (few < EIGHT || usual < EIGHT || few % EIGHT || usual % EIGHT)
             throw nb::value_error("steps are not a multiple of eight");

@@ -38,10 +38,10 @@ static SampledBasis sampled_basis_of(const Table& pose, const Table& twist, cons
 // pose, twist and acceleration.
 static Motions motions_of(nb::tuple rules_record, nb::handle basis, Table hull, nb::tuple limits,
                           int candidates) {
-    const auto table = [&](const char* name) { return nb::cast<Table>(basis.attr(name)); };
+    const auto table = [&](const char* name) { return field<Table>(basis, name); };
     const Table span = table("span"), spline = table("spline");
-    const nb::tuple knots = nb::cast<nb::tuple>(basis.attr("knots"));
-    const Numbers times = nb::cast<Numbers>(basis.attr("times"));
+    const nb::tuple knots = field<nb::tuple>(basis, "knots");
+    const Numbers times = field<Numbers>(basis, "times");
     const RulesRecord record(rules_record, span.shape(0));
     const Rules& rules = *record;
     const size_t size = span.shape(1), pieces = times.size() - 1, third = hull.shape(0) / 3;
@@ -55,9 +55,8 @@ static Motions motions_of(nb::tuple rules_record, nb::handle basis, Table hull, 
         .pieces = rules.pieces,
         .span = matrix_of(span),
         .steps = sampled_basis_of(table("pose"), table("twist"), table("accel"), size),
-        .knots =
-            sampled_basis_of(nb::cast<Table>(field(knots, 0)), nb::cast<Table>(field(knots, 1)),
-                             nb::cast<Table>(field(knots, 2)), size),
+        .knots = sampled_basis_of(item<Table>(knots, 0), item<Table>(knots, 1),
+                                  item<Table>(knots, 2), size),
         .hull = {across(hull, 0, third), across(hull, third, third),
                  across(hull, 2 * third, third)},
         .spline = across(spline, 0, 6 * pieces),

@@ -71,7 +71,7 @@ struct Motions {
     SampledBasis steps, knots, hull;   // basis at equal steps, at the knots, and at control points
     Matrix spline;              // (h, 6 k): powers of the time since the knot
     std::vector<double> times;  // (k + 1,): times of the knots [s]
-    Limits limits;              // `MARGIN` times the limits of the rig
+    Limits limits;              // `SEARCH_USE` times the limits of the rig
     int candidates;             // number of random motions per fresh start
 
     int size() const { return span.columns; }
@@ -356,9 +356,9 @@ private:
         // Four rounds suffice, because the utilisation of the limits is nearly proportional to the
         // factor. Only the rotation of the plate has a quadratic effect.
         for (int round = 0; round < 4; round++) {
-            const double used = MARGIN * use_of(motions.hull, {HULL_WEIGHT, {5}}, false);
-            if (used <= CERTAIN) break;
-            const double factor = 0.9999 * CERTAIN / used;
+            const double used = SEARCH_USE * use_of(motions.hull, {HULL_WEIGHT, {5}}, false);
+            if (used <= CYCLE_USE) break;
+            const double factor = 0.9999 * CYCLE_USE / used;
             for (int k = 0; k < 3 * size; k++) own[0][k] *= factor;
         }
         sample_motion(own[0], motions.knots, found.knots);

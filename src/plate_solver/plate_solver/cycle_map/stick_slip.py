@@ -11,6 +11,10 @@ The derivatives are exact for this discrete map. The derivatives are computed by
 over the steps for each output. If time steps end at the ends of rotations, the results are smooth
 functions of the durations of the rotations. Searches need smooth results. The innermost loop runs
 over the parts, so that the square roots of several parts are computed in parallel.
+
+The kernels contain this rule several times: with and without derivatives, in single and in double
+precision, and for rotating parts. The forms are equal up to rounding. One common form would be
+slower where derivatives are not required, and would change the last bits of all results.
 """
 
 from __future__ import annotations

@@ -32,9 +32,9 @@ class RequestFacts:
 
     Attributes
     ----------
-    lasting : bool
+    multi_cycle : bool
         Whether targets are requested. In this case, later cycles can complete the motion.
-    rotating : int or None
+    rotating_parts : int or None
         Number of parts with a requested rotation. None if there are no angle targets and all
         torques are 0.
     far : bool
@@ -44,8 +44,8 @@ class RequestFacts:
         Whether forces are requested and at least one part has zero tolerance on both axes.
     """
 
-    lasting: bool
-    rotating: int | None
+    multi_cycle: bool
+    rotating_parts: int | None
     far: bool
     exact: bool
 
@@ -54,12 +54,13 @@ class RequestFacts:
         """Compute the properties of a request."""
         content = request.forces_or_targets
         if isinstance(content, Forces):
-            rotating = int(np.count_nonzero(content.torque)) or None
+            rotating_parts = int(np.count_nonzero(content.torque)) or None
             exact = not np.all(np.any(content.tolerance > 0, axis=1))
-            return cls(False, rotating, False, exact)
+            return cls(multi_cycle=False, rotating_parts=rotating_parts, far=False, exact=exact)
         angles = content.angles
-        rotating = None if angles is None else int(np.count_nonzero(angles.weight))
-        return cls(True, rotating, bool(np.any(_to_go(rig, request, content) > NEAR_M)), False)
+        rotating_parts = None if angles is None else int(np.count_nonzero(angles.weight))
+        far = bool(np.any(_to_go(rig, request, content) > NEAR_M))
+        return cls(multi_cycle=True, rotating_parts=rotating_parts, far=far, exact=False)
 
 
 def form_goal(
@@ -109,16 +110,16 @@ def _goal_of_targets(
 
         d = target - x0,    turn = target angle - a0,
 
-    for the lower and the upper bound of each interval. The attribute `lasting` of the goal is True,
-    because later cycles complete the motion. For such a goal, every motion counts as a success. End
-    positions that are too close to edges or to other parts cause additional errors.
+    for the lower and the upper bound of each interval. The attribute `multi_cycle` of the goal is
+    True, because later cycles complete the motion. For such a goal, every motion counts as a
+    success. End positions that are too close to edges or to other parts cause additional errors.
     """
     ids, types = request.parts.ids, part_types(rig, request.parts.ids)
     _check_targets(ids, "target", targets)
     _check(("targets",), "gap_m", np.array([targets.gap_m]), 0.0)
     radius = np.array([t.reach_m for t in types])
     margin = np.array([[rig.edge_margin(t.name).wall_m] for t in types])
-    turns = None
+    rotations = None
     if start.spin is not None and targets.angles is not None:
         _check_targets(ids, "target angle", targets.angles)
         angle, spread = (
@@ -127,15 +128,15 @@ def _goal_of_targets(
         )
         low = targets.angles.low - angle - start.rotation
         high = targets.angles.high - angle - start.rotation
-        turns = PartRotations(start.spin, spread, low, high, targets.angles.weight)
+        rotations = PartRotations(start.spin, spread, low, high, targets.angles.weight)
     return Goal(
         position=start.position,
         velocity=start.velocity,
         displacement=(targets.low + targets.high) / 2 - start.position,
         tolerance=(targets.high - targets.low) / 2,
         friction_accel=start.friction_accel,
-        turns=turns,
-        lasting=True,
+        rotations=rotations,
+        multi_cycle=True,
         weight=targets.weight,
         edge=rig.plate.half - margin,
         clear=radius[:, None] + radius + targets.gap_m,
@@ -174,20 +175,20 @@ def _goal_of_forces(
     edge = rig.plate.half - np.array([[t.reach_m] for t in types])
     low = np.clip(displacement - tolerance, -edge - start.position, edge - start.position)
     high = np.clip(displacement + tolerance, -edge - start.position, edge - start.position)
-    turns = None
+    rotations = None
     if start.spin is not None:
         weight = np.where(forces.torque != 0, [t.reach_m for t in types], 0.0)
         inertia = np.array([(t.mass_kg or 0.0) * np.trace(t.spread_m2) for t in types])
         rotation = (parts.spin + forces.period / inertia * forces.torque) * period
         spread = contact_spread(types, parts.angle + start.rotation)
-        turns = PartRotations(start.spin, spread, rotation, rotation, weight)
+        rotations = PartRotations(start.spin, spread, rotation, rotation, weight)
     return Goal(
         position=start.position,
         velocity=start.velocity,
         displacement=(low + high) / 2,
         tolerance=(high - low) / 2,
         friction_accel=start.friction_accel,
-        turns=turns,
+        rotations=rotations,
         plate=start.plate,
     )
 

@@ -7,14 +7,21 @@ namespace plate {
 
 // Converts the requested values of `size` end coordinates, and checks the shapes of the arrays.
 inline Ends ends_of(const nb::tuple& record, size_t size) {
-    const auto numbers = [&](size_t at) {
-        const auto values = nb::cast<Numbers>(field(record, at));
-        if (at < 5) check("an array of ends", values, {size});
+    const auto of_coordinates = [&](const char* name) {
+        const auto values = field<Numbers>(record, name);
+        check(name, values, {size});
         return copied(values);
     };
-    const auto pair = nb::cast<Array<const int64_t, 2>>(field(record, 5));
-    Ends ends{numbers(0), numbers(1), numbers(2), numbers(3), numbers(4), {}, numbers(6),
-              nb::cast<int>(field(record, 7))};
+    const auto pair = field<Array<const int64_t, 2>>(record, "pair");
+    Ends ends{
+        .low = of_coordinates("low"),
+        .high = of_coordinates("high"),
+        .weight = of_coordinates("weight"),
+        .edge_low = of_coordinates("edge_low"),
+        .edge_high = of_coordinates("edge_high"),
+        .clear = copied(field<Numbers>(record, "clear")),
+        .parts = field<int>(record, "parts"),
+    };
     check("pair", pair, {ends.clear.size(), 2});
     if (ends.parts < 0 || size < 2 * static_cast<size_t>(ends.parts))
         throw nb::value_error("there are more parts than end coordinates");

@@ -83,9 +83,9 @@ class Goal:
         Tolerances of the displacements [m]. Errors within +-tolerance count as 0.
     friction_accel : (M,)
         mu g of each part [m/s2]. A scalar applies to all parts.
-    turns : PartRotations, optional
+    rotations : PartRotations, optional
         Requested rotations. If None, the parts are modelled as points.
-    lasting : bool
+    multi_cycle : bool
         Whether later cycles can complete the goal. For such a goal, every motion counts as a
         success.
     weight : (M, 2)
@@ -116,8 +116,8 @@ class Goal:
     displacement: np.ndarray
     tolerance: np.ndarray
     friction_accel: np.ndarray
-    turns: PartRotations | None = None
-    lasting: bool = False
+    rotations: PartRotations | None = None
+    multi_cycle: bool = False
     weight: np.ndarray | float = 1.0
     edge: np.ndarray | float = np.inf
     clear: np.ndarray | float = 0.0
@@ -128,11 +128,9 @@ class Goal:
     def __post_init__(self) -> None:
         same = np.broadcast_to(self.friction_accel, len(self.position))
         object.__setattr__(self, "friction_accel", np.array(same, dtype=float))
-        for of, weight in (("", self.weight), (" of turns", getattr(self.turns, "weight", 0.0))):
-            values = np.atleast_1d(weight)
-            wrong = values[~((values >= 0) & (values < np.inf))]
-            if len(wrong):
-                raise PlateError(f"weight{of} has {wrong[0]:g}, allowed: finite, 0 and above")
+        _check_weights("weight", self.weight)
+        if self.rotations is not None:
+            _check_weights("weight of rotations", self.rotations.weight)
 
     @cached_property
     def ends(self) -> Ends:
@@ -152,9 +150,9 @@ class Goal:
         near = np.hypot(gap[..., 0], gap[..., 1]) < clear + COMING_M
         pair = np.ascontiguousarray(np.argwhere(np.triu(near & (clear > 0), 1)))
         requested = np.array([flat(low), flat(high), flat(self.weight), flat(-below), flat(above)])
-        if self.turns is not None:
-            turns, free = self.turns, np.full(len(self.position), np.inf)
-            angles = np.array([turns.low, turns.high, turns.weight, -free, free])
+        if self.rotations is not None:
+            rotations, free = self.rotations, np.full(len(self.position), np.inf)
+            angles = np.array([rotations.low, rotations.high, rotations.weight, -free, free])
             requested = np.ascontiguousarray(np.hstack([requested, angles]))
         low, high, weight, edge_low, edge_high = requested
         clear = clear[pair[:, 0], pair[:, 1]]
@@ -164,43 +162,43 @@ class Goal:
     def rows(self) -> int:
         """Number of coordinates. There are two per part, or three per part if rotations are
         requested."""
-        return self.position.size + (0 if self.turns is None else len(self.position))
+        return self.position.size + (0 if self.rotations is None else len(self.position))
 
     @property
     def requested_count(self) -> int:
         """Number of requested coordinates. All positions are requested, and those angles whose
         weight is above 0."""
-        return self.position.size + (0 if self.turns is None else self.turns.count)
+        return self.position.size + (0 if self.rotations is None else self.rotations.count)
 
     @property
     def size(self) -> float:
         """Root mean square of the requested displacements and weighted rotations [m]."""
         requested = self.displacement.ravel()
-        if self.turns is not None:
-            arc = self.turns.weight * self.turns.middle
-            requested = np.concatenate([requested, arc[self.turns.weight > 0]])
+        if self.rotations is not None:
+            arc = self.rotations.weight * self.rotations.middle
+            requested = np.concatenate([requested, arc[self.rotations.weight > 0]])
         return float(np.sqrt(np.mean(requested**2)))
 
     def times(self, fraction: float) -> Goal:
         """Return the goal reduced to the fraction `fraction`.
 
-        If `lasting` is False, displacements and rotations are multiplied by the fraction f.
+        If `multi_cycle` is False, displacements and rotations are multiplied by the fraction f.
 
-        If `lasting` is True, the weights w of the goal are multiplied by f^2. Errors at edges and
-        between parts then dominate. Consider a target at the distance d beyond a wall, and a part
-        that moves by b beyond the wall. The sum of its squared errors is about (w (d - b))^2 + b^2.
-        For a small weight w, the minimum of this sum is at b = w^2 d. With the weight f^2 w, the
-        minimum is at b = f^4 w^2 d. With f = 1/2, the part thus moves only 1/16 as far beyond the
-        wall.
+        If `multi_cycle` is True, the weights w of the goal are multiplied by f^2. Errors at edges
+        and between parts then dominate. Consider a target at the distance d beyond a wall, and a
+        part that moves by b beyond the wall. The sum of its squared errors is about (w (d - b))^2 +
+        b^2. For a small weight w, the minimum of this sum is at b = w^2 d. With the weight f^2 w,
+        the minimum is at b = f^4 w^2 d. With f = 1/2, the part thus moves only 1/16 as far beyond
+        the wall.
         """
-        turns = self.turns
-        if self.lasting:
-            if turns is not None:
-                turns = replace(turns, weight=fraction**2 * turns.weight)
-            return replace(self, weight=fraction**2 * self.weight, turns=turns)
-        if turns is not None:
-            turns = turns.shifted((fraction - 1) * turns.middle)
-        return replace(self, displacement=fraction * self.displacement, turns=turns)
+        rotations = self.rotations
+        if self.multi_cycle:
+            if rotations is not None:
+                rotations = replace(rotations, weight=fraction**2 * rotations.weight)
+            return replace(self, weight=fraction**2 * self.weight, rotations=rotations)
+        if rotations is not None:
+            rotations = rotations.shifted((fraction - 1) * rotations.middle)
+        return replace(self, displacement=fraction * self.displacement, rotations=rotations)
 
     def downhill(self, length: float) -> np.ndarray:
         """Return displacements of the parts (M, 2) [m] in the direction in which the sum of squared
@@ -209,8 +207,8 @@ class Goal:
         The longest displacement has the length `length` [m].
         """
         place = (self.position + self.coast * self.velocity).T.ravel()
-        if self.turns is not None:
-            place = np.append(place, self.coast * self.turns.spin)
+        if self.rotations is not None:
+            place = np.append(place, self.coast * self.rotations.spin)
         error, slope = self.error(place)
         direction = (error @ slope)[: self.position.size].reshape(2, -1).T
         return np.asarray(direction * (length / max(float(np.max(np.hypot(*direction.T))), 1e-12)))
@@ -225,18 +223,18 @@ class Goal:
     def angle_errors(self, end: np.ndarray) -> np.ndarray:
         """Return the signed errors (Q,) [rad] of the Q requested rotations. `end` contains the
         coordinates at the end of the cycle."""
-        if self.turns is None:
+        if self.rotations is None:
             return np.zeros(0)
-        turns, rotation = self.turns, end[self.position.size :]
-        return (np.clip(rotation, turns.low, turns.high) - rotation)[turns.weight > 0]
+        rotations, rotation = self.rotations, end[self.position.size :]
+        return (np.clip(rotation, rotations.low, rotations.high) - rotation)[rotations.weight > 0]
 
     def shifted(self, shift: np.ndarray) -> Goal:
         """Return a copy of the goal whose displacements and rotations are increased by `shift` (C,)
         [m, rad]. The order of the coordinates is the same as in `end`."""
         places = self.position.size
         displacement = self.displacement + shift[:places].reshape(2, -1).T
-        turns = None if self.turns is None else self.turns.shifted(shift[places:])
-        return replace(self, displacement=displacement, turns=turns)
+        rotations = None if self.rotations is None else self.rotations.shifted(shift[places:])
+        return replace(self, displacement=displacement, rotations=rotations)
 
     def ahead(self, coast: float, period: float) -> Goal:
         """Return a goal for end positions and angles that are extrapolated by the time `coast` [s].
@@ -251,14 +249,14 @@ class Goal:
         requested mean velocity, so that the next cycle can request the same displacement. Rotations
         are changed in the same way.
         """
-        scale, turns = 1 + coast / period, self.turns
-        if turns is not None:
-            turns = replace(turns, low=scale * turns.low, high=scale * turns.high)
+        scale, rotations = 1 + coast / period, self.rotations
+        if rotations is not None:
+            rotations = replace(rotations, low=scale * rotations.low, high=scale * rotations.high)
         return replace(
             self,
             displacement=scale * self.displacement,
             tolerance=scale * self.tolerance,
-            turns=turns,
+            rotations=rotations,
             coast=coast,
         )
 
@@ -269,11 +267,11 @@ class Goal:
         rotations of all parts follow [rad].
         """
         moved = pose, twist, dt, self.friction_accel
-        if self.turns is None:
+        if self.rotations is None:
             place, velocity = end_state(self.position, self.velocity, *moved)
             return (place + self.coast * velocity).T.ravel()
         place, velocity, rotation, spin = end_turning(
-            self.position, self.velocity, self.turns.spin, self.turns.spread, *moved
+            self.position, self.velocity, self.rotations.spin, self.rotations.spread, *moved
         )
         place += self.coast * velocity
         return np.concatenate([place.T.ravel(), rotation + self.coast * spin])
@@ -283,12 +281,11 @@ class Goal:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the derivatives of `end` with respect to pose (2, n, C), twist (3, n, C) and dt
         (n, C)."""
-        moved = pose, twist, dt, self.friction_accel
-        if self.turns is None:
-            return end_state_gradient(self.position, self.velocity, *moved, self.coast)
-        return end_turning_gradient(
-            self.position, self.velocity, self.turns.spin, self.turns.spread, *moved, self.coast
-        )
+        state, moved = (self.position, self.velocity), (pose, twist, dt, self.friction_accel)
+        if self.rotations is None:
+            return end_state_gradient(*state, *moved, self.coast)
+        state = *state, self.rotations.spin, self.rotations.spread
+        return end_turning_gradient(*state, *moved, self.coast)
 
     def error(self, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the errors (R,) [m] of the parts' coordinates `end` (C,) after a cycle, and the
@@ -300,6 +297,13 @@ class Goal:
         return _kernels.end_errors(end, self.ends)
 
 
+def _check_weights(name: str, weights: np.ndarray | float) -> None:
+    values = np.atleast_1d(weights)
+    wrong = values[~((values >= 0) & (values < np.inf))]
+    if len(wrong):
+        raise PlateError(f"{name} has {wrong[0]:g}, allowed: finite, 0 and above")
+
+
 def goal_solution(
     goal: Goal, cycle: PlateCycle, good_enough: float, iterations: int, condition: float
 ) -> Solution:
@@ -307,20 +311,20 @@ def goal_solution(
 
     The cycle is evaluated with finer time steps than in the search. The attribute `residual` is the
     remaining distance divided by mu g T^2, with the length T of the cycle. `success` is True if
-    `goal.lasting` is True, or if the root mean square error is at most `good_enough` [m].
+    `goal.multi_cycle` is True, or if the root mean square error is at most `good_enough` [m].
     """
     end = goal.end(*finely_sampled(cycle))
     left, unit = goal.left(end), goal.friction_accel[:, None] * cycle.period**2
     error, _ = goal.error(end)
-    if goal.lasting:
+    if goal.multi_cycle:
         message = f"{1e3 * float(np.sqrt(np.mean(left**2))):.3g} mm to go"
-        if goal.turns is not None and goal.turns.count:
+        if goal.rotations is not None and goal.rotations.count:
             rotation = float(np.sqrt(np.mean(goal.angle_errors(end) ** 2)))
             message += f", {np.degrees(rotation):.2g} deg to rotate"
     else:
         message = f"displacement error {1e3 * float(np.max(np.abs(error))):.3g} mm"
     return Solution(
-        success=goal.lasting
+        success=goal.multi_cycle
         or bool(np.sqrt(np.sum(error**2) / goal.requested_count) <= good_enough),
         message=f"{message} after {iterations} iterations",
         cycle=cycle,

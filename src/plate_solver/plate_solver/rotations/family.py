@@ -194,17 +194,21 @@ class RotationFamily:
 
     def penalty_slopes(self, parameters: np.ndarray) -> np.ndarray:
         """Return the negative derivatives (7, P) of the penalty."""
-        rows = self._limits.levers
+        levers = self._limits.levers
         gap = _kernels.gap_slopes(parameters, self.plain) * self._lengths[:, None]
         pose = self._run(parameters).pose
-        travel = pose @ rows.T
-        if np.max(np.abs(travel)) <= self._limits.stroke_m:
-            return np.vstack([gap, np.zeros((len(rows), len(parameters)))])
-        by_pose = np.zeros((3, len(pose), len(rows)))
-        for i, row in enumerate(rows):
-            for k in (np.argmax(travel[:, i]), np.argmin(travel[:, i])):
-                if abs(travel[k, i]) > self._limits.stroke_m:
-                    by_pose[:, k, i] += row
+        travel = pose @ levers.T
+        beyond = [
+            (k, motor)
+            for motor in range(len(levers))
+            for k in (np.argmax(travel[:, motor]), np.argmin(travel[:, motor]))
+            if abs(travel[k, motor]) > self._limits.stroke_m
+        ]
+        if not beyond:
+            return np.vstack([gap, np.zeros((len(levers), len(parameters)))])
+        by_pose = np.zeros((3, len(pose), len(levers)))
+        for k, motor in beyond:
+            by_pose[:, k, motor] += levers[motor]
         nothing = np.zeros_like(by_pose)
         stroke = self.pull_back(parameters, by_pose, nothing, nothing[0])
         return np.vstack([gap, stroke])

@@ -6,18 +6,18 @@
 namespace plate::rotations {
 
 inline Sequences sequences_of(const nb::tuple& record) {
-    const Table loads = nb::cast<Table>(field(record, 4));
+    const Table loads = field<Table>(record, "loads");
     check("loads", loads, {loads.shape(0), 3});
-    const nb::tuple steps = nb::cast<nb::tuple>(field(record, 5));
+    const nb::tuple steps = field<nb::tuple>(record, "steps");
     Sequences family{
-        .rotations = nb::cast<int>(field(record, 0)),
-        .period = nb::cast<double>(field(record, 2)),
-        .accel = nb::cast<double>(field(record, 3)),
+        .rotations = field<int>(record, "rotations"),
+        .period = field<double>(record, "period"),
+        .accel = field<double>(record, "accel"),
         .loads = matrix_of(loads),
-        .steps = {nb::cast<int>(field(steps, 0)), nb::cast<int>(field(steps, 1))},
-        .limits = limits_of(nb::cast<nb::tuple>(field(record, 6))),
+        .steps = {item<int>(steps, 0), item<int>(steps, 1)},
+        .limits = limits_of(field<nb::tuple>(record, "limits")),
     };
-    read("scale", field(record, 1), family.scale);
+    read(record, "scale", family.scale);
     if (family.rotations < 1) throw nb::value_error("there are no rotations");
     if (family.steps[0] < 1 || family.steps[1] < 1)
         throw nb::value_error("a segment has at least one step");

@@ -136,7 +136,7 @@ class RotationCycles(MotionSolver):
         self._last_start = self._last_basis = None
 
     def steering_period(
-        self, count: int, turns: int = 0, lasting: bool = False, free_end: bool = False
+        self, count: int, rotating_parts: int = 0, multi_cycle: bool = False, free_end: bool = False
     ) -> float:
         return self.options.period * (0.5 if count <= FEW[0] else 0.75 if count <= FEW[1] else 1.0)
 
@@ -197,17 +197,16 @@ class RotationCycles(MotionSolver):
         period = self.steering_period(len(goal.position))
         unit = 0.5 * period**2 * goal.friction_accel[:, None]
         push = goal.displacement - SETTLE * goal.velocity
-        if goal.lasting:
+        if goal.multi_cycle:
             push = goal.downhill(PUSH * period)
-        slack = 0.0 if goal.lasting else 0.5 * goal.tolerance
+        slack = 0.0 if goal.multi_cycle else 0.5 * goal.tolerance
         force = np.sign(push) * np.maximum(np.abs(push) - slack, 0.0) / unit
         curl = None
-        if goal.turns is not None:
+        if goal.rotations is not None:
             # In a friction field with this curl, a disc has the angular acceleration mu g curl/2.
             # If the disc starts at rest, it rotates by mu g curl T^2/4 during the period T.
-            turns = goal.turns
-            curl = turns.middle * 4 / (goal.friction_accel * period**2)
-            curl = np.where(turns.weight > 0, curl, np.nan)
+            curl = goal.rotations.middle * 4 / (goal.friction_accel * period**2)
+            curl = np.where(goal.rotations.weight > 0, curl, np.nan)
         plan = self._plan(goal.position, force, curl, spread)
         plan = plan.in_order(np.argsort(-plan.priority, kind="stable"))
         family = RotationFamily(plan.twist, self._limits, period, self.options.speed)

@@ -52,8 +52,8 @@ struct Problem {
     const Settling& settling;
     View<const float, 2> start;  // parts in blocks, (b, STATE) or (b, TURNING_STATE)
     Ends ends;
-    double coast;  // time by which the final positions are extrapolated [s]
-    double maximum;   // largest permitted utilisation of any limit (1: exactly at the limit)
+    double coast;    // time by which the final positions are extrapolated [s]
+    double max_use;  // largest permitted utilisation of any limit (1: exactly at the limit)
 
     int blocks() const { return start.size(0); }
     bool turning() const { return start.size(1) == TURNING_STATE; }
@@ -92,8 +92,8 @@ public:
         sample_checks(theta);
         const SampledMotion& at = workspace.checked;
         const double use = use_of(at);
-        if (use > problem.maximum) {
-            const double share = (problem.maximum - settling_use) / (use - settling_use);
+        if (use > problem.max_use) {
+            const double share = (problem.max_use - settling_use) / (use - settling_use);
             for (double& value : theta) value *= std::max(share, 0.0);
             sample_checks(theta);
         }

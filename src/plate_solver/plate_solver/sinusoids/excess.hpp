@@ -12,9 +12,9 @@
 
 namespace plate::sinusoids {
 
-// EXCESS_M is the displacement error [m] that is equivalent to a violation of a limit by 100 %. AIM
-// is the utilisation of a limit above which the search counts a violation.
-constexpr double EXCESS_M = 2e-3, AIM = 0.95;
+// EXCESS_M is the displacement error [m] that is equivalent to a violation of a limit by 100 %.
+// PENALTY_USE is the utilisation of a search's limit above which the search counts a violation.
+constexpr double EXCESS_M = 2e-3, PENALTY_USE = 0.95;
 
 // Samples of h basis motions of one degree of freedom at n instants. `pose`, `twist` and `accel`
 // have the shape (h, n). The fields that end in `_at` are the transposed matrices (n, h).
@@ -74,7 +74,8 @@ inline int max_force_excesses(int checks) { return (checks + 1) * MOTORS; }
 // Adds the violations of the motors' strokes and speeds, and of the corners' accelerations. Let q =
 // (x, y, theta) be the pose, l the lever of a motor, and b the acceleration of a corner. The
 // violations are the positive values of
-//     |l . q| / stroke - AIM, |l . q'| / speed limit - AIM, |b| / acceleration limit - AIM.
+//     |l . q| / stroke - PENALTY_USE,    |l . q'| / speed limit - PENALTY_USE,
+//     |b| / acceleration limit - PENALTY_USE.
 // `used` is a buffer.
 PLATE_WIDE inline void excess(const SampledMotion& at, const SampledBasis& basis,
                               const Limits& limits, Matrix& used, Excess& result) {
@@ -108,7 +109,7 @@ PLATE_WIDE inline void excess(const SampledMotion& at, const SampledBasis& basis
         for (int i = 0; i < MOTORS; i++)
             for (int order = 0; order < 2; order++) {
                 const double share = used[2 * i + order][k];
-                if (!(share > AIM)) continue;
+                if (!(share > PENALTY_USE)) continue;
                 const Matrix& state = order ? at.twist : at.pose;
                 const double* by = order ? basis.twist_at[k] : basis.pose_at[k];
                 const double limit = order ? limits.speed : limits.stroke_m;
@@ -120,11 +121,11 @@ PLATE_WIDE inline void excess(const SampledMotion& at, const SampledBasis& basis
                     const double each = (q > 0 ? by[h] : -by[h]) / limit;
                     for (int d = 0; d < 3; d++) slope[3 * h + d] = each * lever[d];
                 }
-                result.value[result.found++] = share - AIM;
+                result.value[result.found++] = share - PENALTY_USE;
             }
         for (int corner = 0; corner < 4; corner++) {
             const double length = used[2 * MOTORS + corner][k];
-            if (!(length > AIM * limits.accel)) continue;
+            if (!(length > PENALTY_USE * limits.accel)) continue;
             const double cx = corner & 1 ? limits.half[0] : -limits.half[0];
             const double cy = corner & 2 ? limits.half[1] : -limits.half[1];
             const double bx = ax[k] - aw[k] * cy - spin[k] * spin[k] * cx;
@@ -138,7 +139,7 @@ PLATE_WIDE inline void excess(const SampledMotion& at, const SampledBasis& basis
                 slope[3 * h + 1] = uy * by_accel[h];
                 slope[3 * h + 2] = turn * by_accel[h] + rate * by_twist[h];
             }
-            result.value[result.found++] = length / limits.accel - AIM;
+            result.value[result.found++] = length / limits.accel - PENALTY_USE;
         }
     }
 }
@@ -179,10 +180,12 @@ PLATE_WIDE inline void force_excess(const SampledMotion& at, const SampledBasis&
                     sum[h] += share * force * own[h];
                 }
             }
-            if (std::abs(force) > AIM) add(std::abs(force) - AIM, each, force > 0 ? 1 : -1, result);
+            if (std::abs(force) > PENALTY_USE)
+                add(std::abs(force) - PENALTY_USE, each, force > 0 ? 1 : -1, result);
         }
         const double heat = limits.heat * std::sqrt(square);
-        if (heat > AIM) add(heat - AIM, by_own, limits.heat * limits.heat / heat, result);
+        if (heat > PENALTY_USE)
+            add(heat - PENALTY_USE, by_own, limits.heat * limits.heat / heat, result);
     }
 }
 

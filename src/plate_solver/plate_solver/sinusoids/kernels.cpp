@@ -64,11 +64,11 @@ static descent::Settling settling_of(Table pose, Table twist, Table check_pose, 
 
 static nb::tuple descend(const Motions& motions, const descent::Settling& settling,
                          Array<const float, 2> start, nb::tuple ends_record, double coast,
-                         double maximum, Numbers theta, double tolerance, int iterations) {
+                         double max_use, Numbers theta, double tolerance, int iterations) {
     const bool turning = start.shape(1) == TURNING_STATE;
-    const size_t ends = nb::cast<Numbers>(ends_record[0]).size(), axes = turning ? 3 : 2;
+    const size_t ends = field<Numbers>(ends_record, "low").size(), axes = turning ? 3 : 2;
     const Problem problem{motions, settling, view(start), ends_of(ends_record, ends),
-                          coast,   maximum};
+                          coast, max_use};
     if (!turning) check("start", start, {start.shape(0), STATE});
     const size_t parts = problem.ends.parts;
     if (ends != axes * parts || start.shape(0) * LANES < parts)
@@ -87,7 +87,7 @@ static nb::tuple descend(const Motions& motions, const descent::Settling& settli
 }
 
 void bind_sinusoids(nb::module_& m) {
-    m.attr("EXCESS_M") = EXCESS_M, m.attr("AIM") = AIM;
+    m.attr("EXCESS_M") = EXCESS_M, m.attr("PENALTY_USE") = PENALTY_USE;
     nb::class_<Motions>(m, "Motions");
     nb::class_<descent::Settling>(m, "Settling");
     m.def("motions_of", motions_of);

@@ -47,17 +47,17 @@ HARMONIC_S = 0.025
 """Length of a cycle per harmonic [s]. This length is used if the number of harmonics is set by an
 option."""
 
-EXACT_CYCLES = (8, 8, 0.1), (16, 8, 0.15), (24, 12, 0.3), (math.inf, 16, 0.4)
+FORCE_CYCLES = (8, 8, 0.1), (16, 8, 0.15), (24, 12, 0.3), (math.inf, 16, 0.4)
 """Cycles from rest to rest for force requests. The forces of such cycles have rank 6 N - 7. Each
 entry contains the maximum number of requested coordinates, the number of harmonics N, and the
 period [s]. The values were tuned in closed loop. Few harmonics make the search fast, short cycles
 correct friction errors early, and long cycles use the stroke."""
 
-LASTING_CYCLES = (4, 4, 0.1), (8, 6, 0.15), (math.inf, 8, 0.2)
+TARGET_CYCLES = (4, 4, 0.1), (8, 6, 0.15), (math.inf, 8, 0.2)
 """Cycles from rest to rest for goals with targets, which several cycles may complete. The entries
-have the same form as in `EXACT_CYCLES`."""
+have the same form as in `FORCE_CYCLES`."""
 
-GOING_ON = (15.0, 8, 0.2), (math.inf, 8, 0.1)
+FREE_END_CYCLES = (15.0, 8, 0.2), (math.inf, 8, 0.1)
 """Cycles with a free end. Each entry contains the maximum shaking ratio Gamma, the number of
 harmonics and the period [s]. The values were tuned in closed loop. If the shaking ratio is low,
 long cycles move parts farther."""
@@ -67,7 +67,7 @@ Grid = tuple[float, int, int]
 highest harmonic, and number of knots of the finished cycle per period of this harmonic."""
 
 EXACT: Grid = (MAX_STEP, STEPS_PER_HARMONIC, KNOTS_PER_HARMONIC)
-"""Grid for force requests. The final corrections (`AIMS`) compensate the error of the grid."""
+"""Grid for force requests. The `FINAL_CORRECTIONS` compensate the error of the grid."""
 
 ROUGH: Grid = (0.8e-3, 16, 5)
 """Grid for goals that several cycles may complete. This grid has fewer knots than `EXACT`, so that
@@ -76,9 +76,9 @@ the cycle is transmitted faster."""
 FINE: Grid = (PREDICTION_STEP, 1, 5)
 """Grid on which the finished motion is evaluated."""
 
-BEYOND = 1.3
-"""Largest permitted utilisation of any rig limit by a motion during the search (1: exactly at the
-limit)."""
+DESCENT_USE, FINAL_USE = 1.3, 1.0
+"""Maximum utilisation of the search's limits during the descents from all starts, and in the final
+corrections. limits.py explains all such fractions."""
 
 RANDOM_STARTS = 3
 """Number of additional random starts. Random starts are used if there is no last motion."""
@@ -104,11 +104,11 @@ displacement. The extrapolation makes goals with moving parts that must stop mor
 test of 800 such searches with 1 to 10 parts, 58 % had an error below `DRIFT_TOLERANCE`. Without the
 extrapolation, 67 % of the searches had such an error."""
 
-AIMS = 2
+FINAL_CORRECTIONS = 2
 """Number of final corrections of the best motion. The corrections keep the limits and compensate
 the difference between fine and coarse steps."""
 
-CORRECTIONS = 8
+CORRECTION_ITERATIONS = 8
 """Maximum number of iterations of each final correction."""
 
 
@@ -186,23 +186,25 @@ class SinusoidCycles(MotionSolver):
         self._last_twist.clear()
 
     def steering_period(
-        self, count: int, turns: int = 0, lasting: bool = False, free_end: bool = False
+        self, count: int, rotating_parts: int = 0, multi_cycle: bool = False, free_end: bool = False
     ) -> float:
-        return self._steering_key(2 * count + turns, lasting, free_end)[1]
+        return self._steering_key(2 * count + rotating_parts, multi_cycle, free_end)[1]
 
-    def _steering_key(self, constraints: int, lasting: bool, free_end: bool) -> tuple[int, float]:
+    def _steering_key(
+        self, constraints: int, multi_cycle: bool, free_end: bool
+    ) -> tuple[int, float]:
         """Return the number of harmonics and the period [s] of the cycles of `steer`."""
-        if lasting and free_end and not self.options.harmonics:
-            return next((n, s) for max_gamma, n, s in GOING_ON if self._gamma <= max_gamma)
-        return self._rest_key(constraints, lasting)
+        if multi_cycle and free_end and not self.options.harmonics:
+            return next((n, s) for max_gamma, n, s in FREE_END_CYCLES if self._gamma <= max_gamma)
+        return self._rest_key(constraints, multi_cycle)
 
-    def _rest_key(self, constraints: int, lasting: bool = False) -> tuple[int, float]:
+    def _rest_key(self, constraints: int, multi_cycle: bool = False) -> tuple[int, float]:
         """Return the number of harmonics and the period [s] of cycles from rest to rest."""
         number = self.options.harmonics
         if number:
             number, period = max(number, 2), max(HARMONIC_S * number, 0.1)
         else:
-            table = LASTING_CYCLES if lasting else EXACT_CYCLES
+            table = TARGET_CYCLES if multi_cycle else FORCE_CYCLES
             number, period = next((n, s) for max_count, n, s in table if constraints <= max_count)
         return number, self.options.period or period
 
@@ -216,8 +218,8 @@ class SinusoidCycles(MotionSolver):
         result. The search ends when the root mean square error is at most `good_enough` [m], when
         all starts are used, or when a further descent would exceed the deadline.
         """
-        number, period = self._steering_key(goal.requested_count, goal.lasting, goal.free_end)
-        grid, plays = ROUGH if goal.lasting else EXACT, PLAYS if goal.free_end else 1
+        number, period = self._steering_key(goal.requested_count, goal.multi_cycle, goal.free_end)
+        grid, plays = ROUGH if goal.multi_cycle else EXACT, PLAYS if goal.free_end else 1
         family, fine = (
             family_on_grid(number, period, self._limits, one, goal.free_end, goal.plate, plays)
             for one in (grid, FINE)
@@ -228,8 +230,8 @@ class SinusoidCycles(MotionSolver):
         motions = self._motions[key]
         last_twist = self._last_twist.get(key)
         fresh = RANDOM_STARTS if last_twist is None else 0
-        aim = goal if goal.lasting else goal.ahead(FORCE_LOOKAHEAD_S, period)
-        problem = Problem.of(aim, motions, BEYOND)
+        aim = goal if goal.multi_cycle else goal.ahead(FORCE_LOOKAHEAD_S, period)
+        problem = Problem.of(aim, motions, DESCENT_USE)
 
         def start(index: int, near: Fit) -> np.ndarray:
             if index < fresh:
@@ -298,14 +300,15 @@ def corrected(
     parameters: np.ndarray, tolerance: float,
 ) -> tuple[Fit, int]:  # fmt: skip
     """Improve a motion of `family` for a goal, and keep it within the limits. Then correct the
-    motion `AIMS` times, until its end on the grid of `fine` agrees with the goal. Return the last
-    fit, and the number of iterations of these corrections."""
+    motion `FINAL_CORRECTIONS` times, so that its end on the grid of `fine` agrees with the goal.
+    Return the last fit, and the number of iterations of these corrections."""
 
     def improved(goal: Goal, start: np.ndarray) -> Fit:
-        return descend(Problem.of(goal, motions, 1.0), start, tolerance, CORRECTIONS)
+        problem = Problem.of(goal, motions, FINAL_USE)
+        return descend(problem, start, tolerance, CORRECTION_ITERATIONS)
 
     final, iterations = improved(goal, parameters), 0
-    for _ in range(AIMS):
+    for _ in range(FINAL_CORRECTIONS):
         own = final.parameters
         off = goal.end(*fine.samples(own)) - goal.end(*family.samples(own))
         final = improved(goal.shifted(-off), own)

@@ -141,7 +141,7 @@ def read_pictures(path: Path, warn: Callable[[str], None] | None = None) -> Pict
         files = [file for file in names if file.suffix.lower() in PICTURES]
         if not files:
             raise ImageError(f"{path}: contains no pictures, allowed: {', '.join(PICTURES)}")
-        skipped = [file.name for file in names if _is_other_picture(file)]
+        skipped = [file.name for file in names if _is_unsupported_media(file)]
         if skipped:
             more = f" and {len(skipped) - 1} more" if len(skipped) > 1 else ""
             warn(f"{path}: skipped {skipped[0]}{more}, allowed: {', '.join(PICTURES)}")
@@ -152,7 +152,7 @@ def read_pictures(path: Path, warn: Callable[[str], None] | None = None) -> Pict
     return Pictures(path, files, warn)
 
 
-def _is_other_picture(path: Path) -> bool:
+def _is_unsupported_media(path: Path) -> bool:
     """Return whether a file is a video or a picture whose suffix is not in `PICTURES`."""
     suffix, kind = path.suffix.lower(), mimetypes.guess_type(path.name)[0] or ""
     is_visual = kind.startswith(("image/", "video/")) or suffix in (".heic", ".heif")

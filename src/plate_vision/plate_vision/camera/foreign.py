@@ -79,13 +79,7 @@ def read_opencv(content: bytes, path: Path) -> Fields:
             f"{path.name}: camera_matrix is missing; a file of OpenCV requires camera_matrix, "
             "distortion_coefficients, image_width and image_height"
         )
-    model = spelt.get("distortionmodel")
-    if not model and "fisheyemodel" not in spelt and _count(data) == FISHEYE:
-        raise CalibrationError(
-            f"{path.name}: distortion_model is missing, required for {FISHEYE} coefficients: "
-            "plumb_bob, or equidistant for those of cv::fisheye"
-        )
-    data["distortion_model"] = model or _distortion_model(spelt, data)
+    data["distortion_model"] = spelt.get("distortionmodel") or _opencv_model(spelt, data, path)
     return Fields(data, path.name, CalibrationError)
 
 
@@ -105,9 +99,20 @@ def _matrix_fields(value: Any) -> Any:
     return {"rows": rows, "cols": columns, "data": value.get("data")}
 
 
-def _distortion_model(spelt: Mapping[str, Any], data: Mapping[str, Any]) -> str:
+def _opencv_model(spelt: Mapping[str, Any], data: Mapping[str, Any], path: Path) -> str:
+    """Return the distortion model of an OpenCV file that has no key `distortion_model`."""
     if spelt.get("fisheyemodel"):
         return "equidistant"
+    if "fisheyemodel" not in spelt and _count(data) == FISHEYE:
+        raise CalibrationError(
+            f"{path.name}: distortion_model is missing, required for {FISHEYE} coefficients: "
+            "plumb_bob, or equidistant for those of cv::fisheye"
+        )
+    return _pinhole_model(data)
+
+
+def _pinhole_model(data: Mapping[str, Any]) -> str:
+    """Return the distortion model of a lens that is not a fisheye lens."""
     return "plumb_bob" if _count(data) <= 5 else "rational_polynomial"
 
 
@@ -147,5 +152,5 @@ def read_ini(content: bytes, path: Path) -> Fields:
             values = blocks[name]
             key = "distortion_coefficients" if name == "distortion" else "camera_matrix"
             data[key] = {"rows": rows, "cols": columns or len(values), "data": values}
-    data["distortion_model"] = _distortion_model({}, data)
+    data["distortion_model"] = _pinhole_model(data)
     return Fields(data, path.name, CalibrationError)

@@ -37,10 +37,17 @@ Viewed<Source> view(const Source& array) {
     return {array};
 }
 
-// Returns a field of a named tuple.
-inline nb::object field(const nb::tuple& record, size_t at) {
-    if (at >= record.size()) throw nb::value_error("a record has too few fields");
-    return nb::borrow(record[at]);
+// Returns a field of a Python named tuple.
+template <class T>
+T field(nb::handle record, const char* name) {
+    return nb::cast<T>(record.attr(name));
+}
+
+// Returns an item of a Python tuple.
+template <class T>
+T item(const nb::tuple& items, size_t at) {
+    if (at >= items.size()) throw nb::value_error("a tuple has too few items");
+    return nb::cast<T>(items[at]);
 }
 
 // Returns a view of an array (n, 3) as samples of a motion.
