@@ -683,7 +683,11 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             self.get_logger().warning(text, throttle_duration_sec=WARN_S)
 
     def _on_camera_info(self, msg: CameraInfo) -> None:
-        content = (msg.width, msg.height, msg.distortion_model, tuple(msg.k), tuple(msg.d))
+        roi = msg.roi
+        content = (
+            *(msg.width, msg.height, msg.distortion_model, tuple(msg.k), tuple(msg.d)),
+            *(msg.binning_x, msg.binning_y, roi.x_offset, roi.y_offset, roi.width, roi.height),
+        )
         if content == self._lens_message:
             return
         # remember the message, so that the same lens is checked only once

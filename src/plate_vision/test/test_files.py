@@ -1,6 +1,7 @@
 """Camera files against one that ROS's camera_calibration wrote, and there and back; pictures."""
 
 import contextlib
+import re
 import struct
 import zlib
 
@@ -215,17 +216,131 @@ def test_four_values_of_an_unknown_model_are_refused(tmp_path, kind):
 @pytest.mark.parametrize("kind", ["json", "xml"])
 def test_other_files_that_opencv_writes(tmp_path, kind):
     path = tmp_path / f"camera.{kind}"
-    file = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
-    file.write("image_width", 640)
-    file.write("image_height", 480)
-    file.write("camera_matrix", np.array([[600.5, 0, 320], [0, 601, 240], [0, 0, 1.0]]))
-    file.write("distortion_coefficients", np.array([[0.1, 0.2, 0.0, 0.0, 0.0]]))
-    file.release()
-    if kind == "json":
-        assert load_lens(path).distortion.tolist() == [0.1, 0.2, 0, 0, 0]
-    else:
-        with pytest.raises(CalibrationError, match=r"camera\.xml: format is XML, allowed"):
+    for values in ([0.1, 0.2, 0.0, 0.0, 0.0], [0.1, 0.2, 0.3, 0.4]):
+        file = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+        file.write("image_width", 640)
+        file.write("image_height", 480)
+        file.write("camera_matrix", np.array([[600.5, 0, 320], [0, 601, 240], [0, 0, 1.0]]))
+        file.write("distortion_coefficients", np.array([values]))
+        file.release()
+        if len(values) == 5:
+            assert load_lens(path, (640, 480)).matrix.tolist()[1] == [0, 601, 240]
+            assert load_lens(path).distortion.tolist() == values
+            continue
+        with pytest.raises(CalibrationError, match="distortion_model is missing"):
             load_lens(path)
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text[: len(text) // 2], encoding="utf-8")
+    with pytest.raises(CalibrationError, match=r"^.*camera\.(xml|json): "):
+        load_lens(path)
+
+
+KALIBR = """cam0:
+  cam_overlaps: []
+  camera_model: pinhole
+  distortion_coeffs: [-0.361976, 0.110510, 0.001014, 0.000505]
+  distortion_model: radtan
+  intrinsics: [438.783367, 437.302876, 305.593336, 243.738352]
+  resolution: [640, 480]
+  rostopic: /camera/image_raw
+"""
+
+COLMAP = """# Camera list with one line of data per camera:
+#   CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]
+# Number of cameras: 1
+1 OPENCV 640 480 438.783367 437.302876 306.093336 244.238352 -0.361976 0.110510 0.001014 0.000505
+"""
+
+MESSAGE = """header:
+  stamp:
+    sec: 12
+    nanosec: 5
+  frame_id: camera
+height: 480
+width: 640
+distortion_model: plumb_bob
+d: [-0.361976, 0.110510, 0.001014, 0.000505, 0.0]
+k: [438.783367, 0.0, 305.593336, 0.0, 437.302876, 243.738352, 0.0, 0.0, 1.0]
+r: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+p: [438.783367, 0.0, 305.593336, 0.0, 0.0, 437.302876, 243.738352, 0.0, 0.0, 0.0, 1.0, 0.0]
+binning_x: 0
+binning_y: 0
+roi:
+  x_offset: 0
+  y_offset: 0
+  height: 0
+  width: 0
+  do_rectify: false
+---
+"""
+
+JSON_MESSAGE = """{"width": 640, "height": 480, "distortion_model": "plumb_bob",
+"D": [-0.361976, 0.110510, 0.001014, 0.000505, 0.0],
+"K": [438.783367, 0, 305.593336, 0, 437.302876, 243.738352, 0, 0, 1]}"""
+
+
+@pytest.mark.parametrize("text", [KALIBR, COLMAP, MESSAGE, MESSAGE * 2, JSON_MESSAGE])
+def test_files_of_other_tools(load, text):
+    """The same camera as in the file of ROS. COLMAP counts pixels from the corner of the first."""
+    lens, same = load(text), load(FILE)
+    assert lens.matrix == pytest.approx(same.matrix, abs=1e-9)
+    assert lens.distortion.tolist()[:4] == same.distortion.tolist()[:4]
+    assert lens.model == "plumb_bob"
+    with pytest.raises(CalibrationError, match="320 x 480 px, allowed: 640 x 480 px"):
+        load(text.replace("640", "320"))
+
+
+@pytest.mark.parametrize(
+    ("text", "model", "values"),
+    [
+        (KALIBR.replace("radtan", "equidistant"), "equidistant", [-0.361976, 0.11051, 0.001014]),
+        (re.sub("coeffs: .*", "coeffs: []", KALIBR.replace("radtan", "none")), "plumb_bob", [0.0]),
+        (COLMAP.replace("CV 640", "CV_FISHEYE 640"), "equidistant", [-0.361976, 0.11051, 0.001014]),
+        ("3 SIMPLE_RADIAL 640 480 600.0 320.0 240.0 -0.1", "plumb_bob", [-0.1, 0, 0]),
+        ("3 PINHOLE 640 480 600.0 600.0 320.0 240.0", "plumb_bob", [0, 0, 0]),
+    ],
+)  # fmt: skip
+def test_models_of_other_tools(load, text, model, values):
+    lens = load(text)
+    assert lens.model == model
+    assert lens.distortion.tolist()[: len(values)] == values
+
+
+def test_a_message_of_a_part_of_the_sensor(load):
+    """A region of 640 x 480 px at (320, 100), every pixel of which is 2 x 2 of the sensor's."""
+    text = MESSAGE.replace("height: 480\nwidth: 640", "height: 2000\nwidth: 2000")
+    text = text.replace("binning_x: 0\nbinning_y: 0", "binning_x: 2\nbinning_y: 2")
+    text = text.replace("x_offset: 0\n  y_offset: 0", "x_offset: 320\n  y_offset: 100")
+    lens = load(text.replace("height: 0\n  width: 0", "height: 960\n  width: 1280"))
+    assert lens.matrix[0].tolist() == [438.783367 / 2, 0, (305.593336 - 320 + 0.5) / 2 - 0.5]
+    assert lens.matrix[1].tolist() == [0, 437.302876 / 2, (243.738352 - 100 + 0.5) / 2 - 0.5]
+    with pytest.raises(CalibrationError, match=r"camera\.yaml: roi is 1800 x 960 px at \(320, 100"):
+        load(text.replace("height: 0\n  width: 0", "height: 960\n  width: 1800"))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (KALIBR + KALIBR.replace("cam0", "cam1"), "the cameras cam0, cam1 of Kalibr, allowed"),
+        (KALIBR.replace("pinhole", "omni"), "cam0: camera_model is 'omni', allowed"),
+        (KALIBR.replace("radtan", "fov"), "cam0: distortion_model is 'fov', allowed"),
+        (KALIBR.replace("437.302876, ", ""), "cam0: intrinsics is .* allowed: 4"),
+        (COLMAP.replace("OPENCV", "FOV"), "camera model of COLMAP is FOV, allowed: SIMPLE_PINH"),
+        (COLMAP.replace("OPENCV", "PINHOLE"), "PINHOLE has 8 parameters, allowed: 4"),
+        (COLMAP + "2 PINHOLE 640 480 600 600 320 240", "contains 2 cameras of COLMAP, allowed"),
+        (MESSAGE.replace("438.783367", "0.0"), "camera of this message is not calibrated"),
+        ('{"RadialDistortion": [-0.3, 0.1], "ImageSize": [480, 640]}', "of MATLAB, .*ToOpenCV"),
+        ("MATLAB 5.0 MAT-file, Platform: GLNXA64", "a .mat file of MATLAB, .*ToOpenCV"),
+        ('{"width": 640, "ppx": 320, "ppy": 240}', "of librealsense, .* camera_info"),
+        ("<?xml version='1.0'?>\n<calibration><f>1</f></calibration>", "XML with the element cal"),
+        ("PK\x03\x04", "a ZIP archive, as .npz of numpy"),
+        ("fx: 600\nfy: 600\n", "image_width is missing, allowed: a camera file of ROS .*Kalibr"),
+        (INI_FILE.replace(" 0.000505 0.000000", " 0.000505"), "distortion_model is missing"),
+    ],
+)  # fmt: skip
+def test_files_that_are_not_read_are_named(load, text, words):
+    with pytest.raises(CalibrationError, match=f"camera.yaml: .*{words}"):
+        load(text)
 
 
 @pytest.mark.parametrize("model", ["equidistant", "rational_polynomial"])

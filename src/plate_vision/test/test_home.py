@@ -90,6 +90,14 @@ def test_covered_markers(straight, rng):
             find_home(image, straight.fiducials)
 
 
+def test_mirrored_pictures_are_called_mirrored(straight, rng):
+    image = straight.take(HOME, rng)
+    for mirrored in (image[:, ::-1], image[::-1], np.rot90(image)[:, ::-1]):
+        with pytest.raises(CalibrationError, match="not detected, because the image is mirrored"):
+            find_home(mirrored, straight.fiducials)
+    find_home(np.rot90(image), straight.fiducials)  # a rotation is no mirror
+
+
 def test_other_pictures_have_no_pose(straight, rng, draw):
     calibration, _ = find_home(straight.take(HOME, rng), straight.fiducials)
     others = [

@@ -43,6 +43,20 @@ def test_lens_of_camera_info():
             lens_of(msg, size)
 
 
+def test_region_and_binning_of_camera_info():
+    """A message describes the full image. These images are a half of the columns, each second."""
+    msg = camera_info([-0.2, 0.0, 0.0, 0.0, 0.0], width=1280)
+    msg.binning_x, msg.roi.x_offset, msg.roi.width, msg.roi.height = 2, 40, 1200, 480
+    lens = lens_of(msg, (600, 480))
+    assert lens.matrix[0].tolist() == [300, 0, (320 - 40 + 0.5) / 2 - 0.5]
+    assert lens.matrix[1].tolist() == [0, 600, 240]
+    with pytest.raises(PlateError, match=r"size is 600 x 480 px, allowed: 640 .*binning 2 x 0\)"):
+        lens_of(msg, (640, 480))
+    msg.roi.x_offset = 100  # beyond the image: a driver whose K is that of the region
+    with pytest.raises(PlateError, match=r"roi is 1200 x 480 px at \(100, 0\), allowed: .*1280 x"):
+        lens_of(msg, (600, 480))
+
+
 def test_distortion_of_camera_info_is_used(graph):
     graph.infos.publish(camera_info([-0.2, 0.0, 0.0, 0.0, 0.0]))
     graph.until(lambda: graph.detector._vision.calibration.lens is not None)

@@ -16,6 +16,7 @@ from .lens import (
     rig_lens,
 )
 from .markers import draw_marker, find_markers, square_corners
+from .regions import Region
 
 __all__ = [
     "Board",
@@ -23,6 +24,7 @@ __all__ = [
     "Lens",
     "LensFit",
     "Pictures",
+    "Region",
     "bits_hint",
     "calibrate",
     "calibrate_by_matrix",

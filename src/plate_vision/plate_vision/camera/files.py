@@ -26,10 +26,7 @@ from .encodings import check_pixel_count, decode_picture
 from .foreign import is_ini, is_opencv, read_ini, read_opencv
 from .headers import AS_STORED, orientation_warning, read_header
 from .lens import Lens
-
-MAX_ABS = 1e6
-"""Maximum magnitude of a number in a lens file."""
-
+from .other_tools import MAX_ABS, READABLE, near_key, read_other_tool
 
 PICTURES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".webp")
 """File name suffixes of pictures."""
@@ -47,12 +44,13 @@ NO_FILM = f"cannot be read, allowed: a video that OpenCV can decode, or a pictur
 def load_lens(path: str | Path, expected_px: tuple[int, int] | None = None) -> Lens:
     """Read a camera_info file, and check its image size if an expected width and height are given.
 
-    Files of OpenCV (`%YAML:1.0`) and `.ini` files of ROS 1 are also read.
+    Files of OpenCV, `.ini` files of ROS 1, messages of the topic camera_info in YAML or JSON, and
+    files of Kalibr and COLMAP are also read.
 
     Raises
     ------
     CalibrationError
-        If a key is missing or its value is not allowed.
+        If the file has another format, a key is missing or its value is not allowed.
     """
     fields = _read_camera_fields(Path(path))
     size_px = (fields.integer("image_width", 16, 16384), fields.integer("image_height", 16, 16384))
@@ -70,7 +68,14 @@ def _read_camera_fields(path: Path) -> Fields:
         return read_opencv(content, path)
     if is_ini(content):
         return read_ini(content, path)
-    return parse_yaml(content, path, CalibrationError)
+    if fields := read_other_tool(content, path):
+        return fields
+    fields = parse_yaml(content, path, CalibrationError)
+    if "image_width" not in fields.data:
+        raise CalibrationError(
+            f"{path.name}: image_width is missing{near_key(fields)}, allowed: {READABLE}"
+        )
+    return fields
 
 
 def save_lens(path: str | Path, camera: str, size_px: tuple[int, int], lens: Lens) -> None:

@@ -1,6 +1,6 @@
-"""Camera files of other programs, converted to the keys of a camera_info file.
+"""Camera files of OpenCV and of ROS 1, converted to the keys of a camera_info file.
 
-The module supports files of OpenCV's cv::FileStorage and `.ini` files of ROS 1.
+The module supports files of OpenCV's cv::FileStorage and `.ini` files of ROS 1 (`ost.txt`).
 """
 
 from __future__ import annotations
@@ -10,6 +10,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import cv2
+
 from plate_core.yaml_fields import Fields, parse_yaml
 
 from ..errors import CalibrationError
@@ -17,6 +19,9 @@ from ..errors import CalibrationError
 OPENCV = b"%YAML:1.0"
 """First bytes of files that cv::FileStorage writes up to OpenCV 4. Version 5 writes standard
 YAML."""
+
+OPENCV_XML = b"<opencv_storage>"
+"""First element of XML files that cv::FileStorage writes."""
 
 MATRIX = re.compile(rb"!!opencv-[a-z-]+")
 """Tag of a matrix in YAML files of cv::FileStorage. JSON files have `type_id` instead."""
@@ -46,7 +51,8 @@ def is_ini(content: bytes) -> bool:
 
 def is_opencv(content: bytes) -> bool:
     """Whether a file was written by cv::FileStorage."""
-    return content.startswith(OPENCV) or b"opencv-matrix" in content or b"opencv-nd" in content
+    marks = (OPENCV_XML, b"opencv-matrix", b"opencv-nd")
+    return content.startswith(OPENCV) or any(mark in content for mark in marks)
 
 
 def read_opencv(content: bytes, path: Path) -> Fields:
@@ -62,12 +68,10 @@ def read_opencv(content: bytes, path: Path) -> Fields:
         without a model: these can be k1, k2, p1, p2 or the k1 to k4 of a fisheye lens.
     """
     if content.lstrip()[:1] == b"<":
-        raise CalibrationError(
-            f"{path.name}: format is XML, allowed: YAML (OpenCV's cv::FileStorage writes YAML if "
-            "the file's name ends with .yml)"
-        )
-    content = MATRIX.sub(b"", content.removeprefix(OPENCV))
-    given = parse_yaml(content, path, CalibrationError).data
+        given: Mapping[str, Any] = _read_xml(content, path)
+    else:
+        content = MATRIX.sub(b"", content.removeprefix(OPENCV))
+        given = parse_yaml(content, path, CalibrationError).data
     spelt = {str(key).lower().replace("_", ""): value for key, value in given.items()}
     data: dict[str, Any] = {}
     for key, names in NAMES.items():
@@ -81,6 +85,44 @@ def read_opencv(content: bytes, path: Path) -> Fields:
         )
     data["distortion_model"] = spelt.get("distortionmodel") or _opencv_model(spelt, data, path)
     return Fields(data, path.name, CalibrationError)
+
+
+def _read_xml(content: bytes, path: Path) -> dict[str, Any]:
+    """Return the numbers, texts and matrices of an XML file of cv::FileStorage."""
+    found: dict[str, Any] = {}
+    try:
+        flags = cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY
+        # the nodes are valid only as long as the storage exists
+        storage = cv2.FileStorage(content.decode("utf-8", "replace"), flags)
+        root = storage.root()
+        for key in root.keys():  # noqa: SIM118, because a FileNode is no mapping
+            node = root.getNode(key)
+            if node.isInt() or node.isReal():
+                value = node.real()
+                found[key] = int(value) if value.is_integer() else value
+            elif node.isString():
+                found[key] = node.string()
+            elif node.isMap() and (matrix := node.mat()) is not None:
+                rows, columns = matrix.reshape(len(matrix), -1).shape
+                data = matrix.ravel().tolist()
+                found[key] = {"rows": rows, "cols": columns, "data": data}
+    except (cv2.error, SystemError) as error:
+        raise CalibrationError(
+            f"{path.name}: broken XML: {str(error).strip().splitlines()[-1][:100]}, allowed: a "
+            "file of cv::FileStorage"
+        ) from None
+    return found
+
+
+def _refuse_unknown_model(data: Mapping[str, Any], name: str) -> None:
+    """Refuse four coefficients without a model, which can be k1, k2, p1, p2, or those of a fisheye
+    lens. If all are zero, the model does not matter."""
+    if _count(data) == FISHEYE and any(data["distortion_coefficients"]["data"]):
+        raise CalibrationError(
+            f"{name}: distortion_model is missing, required for {FISHEYE} coefficients: "
+            "plumb_bob, or equidistant for those of cv::fisheye (an .ini file cannot contain the "
+            "model: save a .yaml file)"
+        )
 
 
 def _count(data: Mapping[str, Any]) -> int:
@@ -103,11 +145,8 @@ def _opencv_model(spelt: Mapping[str, Any], data: Mapping[str, Any], path: Path)
     """Return the distortion model of an OpenCV file that has no key `distortion_model`."""
     if spelt.get("fisheyemodel"):
         return "equidistant"
-    if "fisheyemodel" not in spelt and _count(data) == FISHEYE:
-        raise CalibrationError(
-            f"{path.name}: distortion_model is missing, required for {FISHEYE} coefficients: "
-            "plumb_bob, or equidistant for those of cv::fisheye"
-        )
+    if "fisheyemodel" not in spelt:
+        _refuse_unknown_model(data, path.name)
     return _pinhole_model(data)
 
 
@@ -123,7 +162,8 @@ def read_ini(content: bytes, path: Path) -> Fields:
     Raises
     ------
     CalibrationError
-        If a line that should contain numbers cannot be read.
+        If a line that should contain numbers cannot be read, or if there are four coefficients: a
+        `.ini` file does not contain the model.
     """
     blocks: dict[str, list[float]] = {}
     name = ""
@@ -152,5 +192,6 @@ def read_ini(content: bytes, path: Path) -> Fields:
             values = blocks[name]
             key = "distortion_coefficients" if name == "distortion" else "camera_matrix"
             data[key] = {"rows": rows, "cols": columns or len(values), "data": values}
+    _refuse_unknown_model(data, path.name)
     data["distortion_model"] = _pinhole_model(data)
     return Fields(data, path.name, CalibrationError)

@@ -145,9 +145,16 @@ def find_home(
     if missing:
         several = len(missing) > 1
         markers = f"markers {', '.join(missing)} are" if several else f"marker {missing[0]} is"
+        problem = f"fiducials: {markers} not detected"
+        if _is_mirrored(image, fiducials):
+            raise CalibrationError(
+                f"{problem}, because the image is mirrored: in its mirror image, all markers are "
+                "detected. Switch off the flip in the camera's driver (a flip left to right or "
+                "upside down); an image in a mirror needs one flip"
+            )
         raise CalibrationError(
-            f"fiducials: {markers} not detected; all markers "
-            f"({', '.join(map(str, fiducials.numbers))}) must be uncovered and in the image"
+            f"{problem}; all markers ({', '.join(map(str, fiducials.numbers))}) must be uncovered "
+            "and in the image"
         )
     corners_px = np.concatenate([found[number] for number in fiducials.numbers])
     straight = corners_px if lens is None else lens.straighten(corners_px)
@@ -170,6 +177,13 @@ def find_home(
             f"allowed: {1e3 * WORST_FIT_M:g} mm; check centre_m, side_m and the markers' order"
         )
     return calibration, error
+
+
+def _is_mirrored(image: np.ndarray, fiducials: Fiducials) -> bool:
+    """Return whether all markers are detected in the mirror image. A rotation of the image does not
+    matter, because markers are detected at all angles."""
+    found = find_markers(grey_levels(image)[:, ::-1], fiducials.dictionary)
+    return all(number in found for number in fiducials.numbers)
 
 
 def find_pose(

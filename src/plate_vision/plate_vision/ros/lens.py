@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from sensor_msgs.msg import CameraInfo
 
-from ..camera import Lens
+from ..camera import Lens, Region
 from ..errors import check_size
 
 
@@ -18,7 +18,15 @@ def lens_of(msg: CameraInfo, size_px: tuple[int, int]) -> Lens | None:
     PlateError
         If the image size differs from the rig's image size, or if the lens model is not supported.
     """
-    check_size("size is", (msg.width, msg.height), size_px)
+    roi = msg.roi
+    region = Region(
+        (msg.width, msg.height),
+        (roi.x_offset, roi.y_offset),
+        (roi.width, roi.height),
+        (msg.binning_x, msg.binning_y),
+    )
+    check_size("size is", region.size_px, size_px, why=region.reason)
     if msg.k[0] == 0:
         return None
-    return Lens(np.array(msg.k, dtype=float).reshape(3, 3), np.array(msg.d), msg.distortion_model)
+    matrix = region.matrix(np.array(msg.k, dtype=float).reshape(3, 3))
+    return Lens(matrix, np.array(msg.d), msg.distortion_model)
