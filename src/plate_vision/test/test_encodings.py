@@ -123,12 +123,13 @@ def test_one_pixel():
 
 
 def test_files(bgr):
-    for extension, limit in ((".png", 0), (".jpg", 4)):
+    for extension, limit in ((".png", 0), (".jpg", 4), (".tiff", 0), (".webp", 40)):
         content = cv2.imencode(extension, bgr)[1].tobytes()
         for form in (extension[1:], f"bgr8; {extension[1:]} compressed bgr8"):
             assert np.abs(decode_file(content, form).astype(int) - bgr).max() <= limit
         grey = cv2.imencode(extension, bgr[:, :, 1])[1].tobytes()
-        assert decode_file(grey, extension[1:]).shape == (HEIGHT, WIDTH)
+        shape = (HEIGHT, WIDTH, 3) if extension == ".webp" else (HEIGHT, WIDTH)
+        assert decode_file(grey, extension[1:]).shape == shape
     wide = cv2.imencode(".png", bgr[:, :, 1].astype(np.uint16) << 4)[1].tobytes()
     assert np.array_equal(decode_file(wide, "mono16; png compressed", bits=12), bgr[:, :, 1])
     filtered = cv2.imencode(".png", np.full((HEIGHT, WIDTH), 7, np.uint8))[1].tobytes()
@@ -155,7 +156,7 @@ def test_files_are_never_turned(bgr, form, orientation):
     assert np.array_equal(decode_file(marked, form), decode_file(whole, form))
 
 
-@pytest.mark.parametrize("extension", [".png", ".jpg"])
+@pytest.mark.parametrize("extension", [".png", ".jpg", ".webp"])
 def test_files_that_break_off_are_refused(rng, extension):
     """At any byte: OpenCV would fill the missing part of a JPEG with grey."""
     picture = rng.integers(0, 255, (HEIGHT, WIDTH), dtype=np.uint8)
@@ -165,12 +166,42 @@ def test_files_that_break_off_are_refused(rng, extension):
             decode_file(content[:length], extension[1:])
 
 
+def test_a_tiff_file_that_breaks_off_is_refused_or_has_all_pixels(rng):
+    """The last bytes of the file are no pixels."""
+    picture = rng.integers(0, 255, (HEIGHT, WIDTH), dtype=np.uint8)
+    content = cv2.imencode(".tiff", picture)[1].tobytes()
+    refused = 0
+    for length in range(len(content)):
+        try:
+            assert np.array_equal(decode_file(content[:length], "tiff"), picture)
+        except ImageError:
+            refused += 1
+    assert refused > 100
+
+
 def test_files_that_are_none_are_refused(rng):
     for content in (b"", b"\xff\xd8", b"\xff" * 40, rng.bytes(1000), b"\xff\xd8\xff\xd9"):
         with pytest.raises(ImageError, match="allowed: "):
             decode_file(content, "jpeg")
     with pytest.raises(ImageError, match="compressedDepth"):
         decode_file(b"", "16UC1; compressedDepth png")
+
+
+@pytest.mark.parametrize(
+    ("content", "name"),
+    [
+        (b"GIF89a" + bytes(20), "GIF"),
+        (b"\0\0\0 ftypavif" + bytes(20), "AVIF"),
+        (b"\0\0\0\x0cjP  \r\n\x87\n", "JPEG 2000"),
+        (b"P5 12 8 255 " + bytes(96), "PNM"),
+        (b"\0\0\0\1\x67\x42", "a video stream"),
+        (b"no picture", "unknown"),
+    ],
+)
+def test_other_formats_are_named(content, name):
+    words = f"is {name}.*, and format of the message is 'h264', allowed: JPEG, PNG, TIFF, WebP"
+    with pytest.raises(ImageError, match=words):
+        decode_file(content, "h264")
 
 
 def test_files_that_claim_to_be_huge_are_not_unpacked(bgr):

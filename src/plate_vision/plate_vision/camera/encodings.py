@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from ..errors import ImageError, check_image, check_size
-from .headers import PNG, Header, read_header, reset_orientation
+from .headers import PNG, Header, is_whole, name_of_format, read_header, reset_orientation
 
 BAYER = {
     # OpenCV names a Bayer pattern by the colours in its second row and second column.
@@ -60,9 +60,8 @@ PNG_DEPTH = 24
 BRIGHT = 127
 """Maximum grey level of an 8-bit image that does not use the highest bit."""
 
-TAIL = 64
-"""Number of bytes at the end of a file that must contain the end mark. The end mark is not always
-at the end, because some cameras append padding."""
+COMPRESSED = ("JPEG", "PNG", "TIFF", "WebP")
+"""Formats of sensor_msgs/CompressedImage that are read."""
 
 
 def decode(
@@ -135,7 +134,7 @@ def decode_file(
     Parameters
     ----------
     data : bytes-like
-        A JPEG or PNG file.
+        A file in a format of `COMPRESSED`.
     form : str
         The message's format: `jpeg`, `png`, or image_transport's `bgr8; jpeg compressed bgr8`.
     bits : int
@@ -151,28 +150,30 @@ def decode_file(
     Raises
     ------
     ImageError
-        If the file is neither JPEG nor PNG, is damaged or truncated, or has another size.
+        If the file has another format, is damaged or truncated, or has another size.
     """
     if "compressedDepth" in form:
-        raise ImageError(f"image: format is {form!r}, allowed: jpeg, png")
+        raise ImageError(f"image: format is {form!r}, allowed: {', '.join(COMPRESSED)}")
     content = bytes(data)
     header = read_header(content)
-    if header is None or header.kind not in ("JPEG", "PNG"):
+    if header is None or header.kind not in COMPRESSED:
+        name = name_of_format(content) or "unknown"
         raise ImageError(
-            f"image: data ({len(content)} bytes) is not a picture file, allowed: JPEG, PNG"
+            f"image: format of the data ({len(content)} bytes) is {name}, and format of the "
+            f"message is {form[:50]!r}, allowed: {', '.join(COMPRESSED)}"
         )
     check_pixel_count(header.width, header.height)
     if size_px is not None:
         check_size("image: size is", (header.width, header.height), size_px)
-    tail = content[-TAIL:]
-    if not (b"\xff\xd9" in tail or b"IEND\xae\x42\x60\x82" in tail):
+    if not is_whole(content, header):
         raise ImageError(
             f"image: file of {len(content)} bytes is incomplete, allowed: a complete file"
         )
     pixels = decode_picture(content, cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH, header)
     if pixels is None:
         raise ImageError(
-            f"image: file of {len(content)} bytes is damaged, allowed: an intact JPEG or PNG file"
+            f"image: {header.kind} file of {len(content)} bytes is damaged or truncated, or this "
+            f"OpenCV cannot decode it, allowed: an intact file ({', '.join(COMPRESSED)})"
         )
     if pixels.dtype != np.uint8:
         pixels = to_8_bits(pixels, bits)

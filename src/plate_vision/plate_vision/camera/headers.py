@@ -36,6 +36,28 @@ PNG = b"\x89PNG\r\n\x1a\n"
 PNM = re.compile(rb"P[1-6](?:\s+(?:#[^\n]*\n\s*)*)(\d+)(?:\s+(?:#[^\n]*\n\s*)*)(\d+)\s")
 """Header of a PNM file, which may contain comments. The groups are the width and the height."""
 
+TAIL = 64
+"""Number of bytes at the end of a JPEG or PNG file that must contain the end mark. The end mark is
+not always at the end, because some cameras append padding."""
+
+OTHER_KINDS = (
+    (0, b"GIF8", "GIF"),
+    (4, b"ftypavi", "AVIF"),
+    (4, b"ftyp", "HEIF or MP4"),
+    (0, b"\0\0\0\x0cjP  ", "JPEG 2000"),
+    (0, b"\xff\x4f\xff\x51", "JPEG 2000"),
+    (0, b"\0\0\0\x0cJXL ", "JPEG XL"),
+    (0, b"\xff\x0a", "JPEG XL"),
+    (0, b"v/1\x01", "OpenEXR"),
+    (0, b"#?RADIANCE", "Radiance HDR"),
+    (0, b"\0\0\0\1", "a video stream (such as H.264)"),
+    (0, b"\0\0\1", "a video stream (such as H.264)"),
+    (0, b"\x1f\x8b", "gzip"),
+    (0, b"\x28\xb5\x2f\xfd", "Zstandard"),
+    (0, b"\x04\x22\x4d\x18", "LZ4"),
+)
+"""First bytes of other files: their position, their value, and the name of the format."""
+
 MAX_ENTRIES = 1000
 """Maximum number of tags that are read from a directory. Files usually have some dozens of tags."""
 
@@ -90,6 +112,27 @@ def read_header(content: bytes) -> Header | None:
     except BROKEN:
         pass
     return None
+
+
+def name_of_format(content: bytes) -> str:
+    """Return the name of a file's format, by the first bytes of the file. The name is empty if the
+    format is unknown."""
+    header = read_header(content)
+    if header is not None:
+        return header.kind
+    found = (name for at, mark, name in OTHER_KINDS if content[at : at + len(mark)] == mark)
+    return next(found, "")
+
+
+def is_whole(content: bytes, header: Header) -> bool:
+    """Return whether a JPEG, PNG or WebP file is complete. OpenCV fills the missing part of a
+    truncated JPEG file with grey. For other formats, OpenCV refuses truncated files."""
+    if header.kind in ("JPEG", "PNG"):
+        tail = content[-TAIL:]
+        return b"\xff\xd9" in tail or b"IEND\xae\x42\x60\x82" in tail
+    if header.kind == "WebP":
+        return len(content) >= 8 + int.from_bytes(content[4:8], "little")
+    return True
 
 
 def reset_orientation(content: bytes, header: Header) -> bytes:
