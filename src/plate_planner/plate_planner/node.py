@@ -61,7 +61,7 @@ from .estimation import check_start, warm_up
 from .lockstep import Lockstep
 from .planner import NOTHING, Planner, PlannerOptions
 from .ros import GoalServers, TaskReports, run_to_msg
-from .supervision import STOP, Failure, InputMonitor, Inputs, Reason
+from .supervision import STOP, Failure, InputMonitor, Inputs, Reason, check_positions
 from .task_run import Run, TaskRunner
 from .tasks import FollowOptions
 
@@ -314,9 +314,13 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         image is invalid."""
         try:
             parts = msg_to_parts(msg)
+            check_positions(parts, self._rig)
         except PlateError as error:
+            inputs = self._monitor.inputs.parts_refused(self._monitor.inputs.ran, str(error))
+            self._monitor.inputs = inputs
             self._warn(str(error))
             return None
+        self._monitor.inputs = self._monitor.inputs.parts_accepted()
         self._reports.record_image(msg)
         if text := self._tasks.record_image(msg_to_overlooked(msg), parts):
             self.get_logger().warning(text)

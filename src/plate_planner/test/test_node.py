@@ -260,6 +260,26 @@ def test_a_goal_is_refused_with_the_reason(graph):
     graph.until(lambda: graph.states == ["idle", "running"])
 
 
+@pytest.mark.parametrize(("unit", "count"), [("mm", 1000.0), ("cm", 100.0)])
+def test_parts_in_another_unit_than_metres_are_named(graph, unit, count):
+    """Parts of another program. A goal is refused, and a task ends, with this reason."""
+    graph = graph()
+    hint = f"in {unit}, this position would be on the plate: publish positions in m"
+    graph.image(0.0, count * APART)
+    graph.until(lambda: graph.planner._monitor.inputs.refusal)
+    reason, text = graph.refused()
+    assert reason == TaskStatus.NOT_READY
+    assert text.startswith("the task sort was not started: the planner refuses the messages")
+    assert text.endswith(hint)
+    handle = graph.begin(1.0)
+    for k in range(30):
+        graph.image(2.0 + 0.1 * k, count * APART)
+        graph.executor.spin_for(0.1)
+    status, task = graph.result(handle)
+    assert (status, task.reason) == (GoalStatus.STATUS_ABORTED, TaskStatus.NO_PARTS)
+    assert hint in task.text
+
+
 def test_a_planner_that_is_deactivated_ends_the_task_and_takes_no_goal(graph):
     graph = graph()
     handle = graph.begin()

@@ -62,7 +62,7 @@ from .live_teaching import Teaching, learn_shown
 from .overlooked import Expected, OverlookedTally, is_separate_object, remedy
 from .plate import OutlineCheck, PlateLocation, light_problem
 from .recognition import camera_limits
-from .ros import AimingView, DetectorParameters, lens_of
+from .ros import AimingView, DetectorParameters, lens_of, silence_advice
 from .shapes.part_files import load_bare
 from .tracking import Prediction, Tracker, found_text
 from .vision import HOME, follow_plate, make_vision, observe
@@ -648,10 +648,17 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             findings.append(self._outline.finding)
         findings.append(self._faint)
         findings.append(tally.overlooked_lately.finding(Expected.of(self._rig)))
-        findings.append(self._input.timed_out(now))
+        findings.append(self._silence(now))
         if self._input.arrival is None:
             return worst(findings, f"waiting for images on {self._input.topic}")
         return worst(findings, "all images used")
+
+    def _silence(self, now: float) -> Finding | None:
+        """Return a finding if no image has arrived for too long, otherwise None."""
+        if self._input.timed_out(now) is None:
+            return None
+        advice = silence_advice(self, self._input.topic)
+        return replace(self._input, advice=advice).timed_out(now)
 
     def _diagnostic_values(self) -> Mapping[str, object]:
         now, tally = time.monotonic(), self._tally

@@ -8,10 +8,11 @@ pytest.importorskip("rclpy")
 from detector_graph import CENTRE_PX, LABEL, Graph, image, names
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from shown_text import says
+from sensor_msgs.msg import CompressedImage, Image
 from std_srvs.srv import Trigger
 from stepped_clock import STEP_S
 
-from plate_core.ros import DATA
+from plate_core.ros import DATA, IMAGE
 from plate_core.status import Level
 from plate_vision import OVERLOOKED, observe
 from plate_vision.tracking import update
@@ -60,6 +61,31 @@ def test_diagnostics_report_silence_refusals_and_bad_light(draw, rng):
         dark = image(np.zeros((480, 640), np.uint8), 2.0)
         reported(DiagnosticStatus.WARN, "the light is on", play=dark)
         reported(DiagnosticStatus.STALE, "no image for ", "check that the camera runs")
+    finally:
+        graph.close()
+
+
+@pytest.mark.parametrize(
+    ("transport", "other", "words"),
+    [
+        ("raw", "image_raw/compressed", ("test/image_raw/compressed exists", "to compressed")),
+        ("compressed", "image_raw", ("/detector_test/image_raw exists", "transport to raw")),
+        ("raw", "my_camera/image", ("remap image_raw", "images: /detector_test/my_camera/image)")),
+        ("raw", "", ("no node publishes this topic or other images",)),
+    ],
+)
+def test_diagnostics_name_the_topics_that_have_images(transport, other, words):
+    """The camera's node publishes raw or compressed images, or has another name."""
+    graph = Graph(input_timeout_s=0.2, image_transport=transport)
+    try:
+        graph.probe.destroy_publisher(graph.images)
+        kind = CompressedImage if other.endswith("compressed") else Image
+        if other:
+            graph.probe.create_publisher(kind, other, IMAGE)
+        reports = []
+        graph.probe.create_subscription(DiagnosticArray, "diagnostics", reports.append, DATA)
+        graph.until(lambda: reports and all(w in reports[-1].status[0].message for w in words))
+        assert reports[-1].status[0].level == DiagnosticStatus.STALE
     finally:
         graph.close()
 

@@ -23,6 +23,7 @@ from .phase import (
     stopped,
 )
 from .progress import Progress
+from .units import check_positions
 
 __all__ = [
     "STOP",
@@ -39,6 +40,7 @@ __all__ = [
     "TaskState",
     "begin",
     "bystanders_text",
+    "check_positions",
     "evaluate",
     "is_bystander",
     "loss_of",

@@ -25,8 +25,8 @@ lacks input, it therefore reports this before the planner's timeout. The report 
 contains the more exact reason."""
 
 ERROR_TIMEOUT_S = 1.0
-"""Maximum duration of an error that the driver or the detector reports [s]. If the error lasts
-longer, the task ends. Shorter errors are tolerated, because a connection may fail for a short time,
+"""Maximum duration of an error that the driver or the detector reports, and maximum time in which
+all messages of the topic parts are refused [s]. If it lasts longer, the task ends. Shorter errors are tolerated, because a connection may fail for a short time,
 and the detector may misinterpret a single image."""
 
 REPORT_TIMEOUT_S = 1.3
@@ -95,6 +95,11 @@ class Inputs:
         Arrival times of reported cycle starts. None if reports are not required.
     orders : Input or None
         Arrival times of the orders that a feeder repeats. None until the first order.
+    refusal : str
+        Reason why the last message of the topic parts was refused. Empty if it was accepted.
+    refused_since : float or None
+        Time since which all messages of the topic parts were refused. None if the last message was
+        accepted.
     """
 
     parts: Input
@@ -110,6 +115,8 @@ class Inputs:
     reports: Mapping[str, Report] = field(default_factory=dict)
     starts: Input | None = None
     orders: Input | None = None
+    refusal: str = ""
+    refused_since: float | None = None
 
     @classmethod
     def none_yet(cls, now: float, timeout_s: float, triggered: bool = True) -> Inputs:
@@ -135,6 +142,15 @@ class Inputs:
         if stamp_ns == self.stamp:
             return self if self.repeated else replace(self, repeated=True)
         return replace(self, parts=self.parts.received(now), stamp=stamp_ns, repeated=False)
+
+    def parts_refused(self, now: float, why: str) -> Inputs:
+        """Record that the content of a message of the topic parts was refused."""
+        since = now if self.refused_since is None else self.refused_since
+        return replace(self, refusal=why, refused_since=since)
+
+    def parts_accepted(self) -> Inputs:
+        """Record that the content of a message of the topic parts was accepted."""
+        return replace(self, refusal="", refused_since=None) if self.refusal else self
 
     def start_received(self, now: float) -> Inputs:
         """Record that the start of a cycle was reported."""
@@ -213,7 +229,7 @@ class Inputs:
             return f"no parts yet; {self._missing_parts_cause(now, publishers)}"
         if self.parts.timed_out(now) is not None:
             return self._missing_parts_text(now, self.parts.age(now), publishers)
-        return ""
+        return self._refusal_text
 
     def starts_problem(self, now: float) -> str:
         """Return the reason why missing reports of cycle starts prevent the start of a task. The
@@ -244,6 +260,12 @@ class Inputs:
         # If the driver reports a failed connection, return this failure. The missing inputs are its
         # consequence.
         return self._driver_failure if why and self.error_since is not None else why
+
+    @property
+    def _refusal_text(self) -> str:
+        if not self.refusal:
+            return ""
+        return f"the planner refuses the messages of the topic parts: {self.refusal}"
 
     @property
     def _driver_failure(self) -> Failure:
@@ -279,6 +301,9 @@ class Inputs:
                 return Failure(Reason.NO_CYCLE, f"no plate_cycle for {age:.1f} s; {why}")
         elif age > timeout:
             return Failure(Reason.NO_PARTS, self._missing_parts_text(now, age, publishers))
+        refused = self.refused_since
+        if refused is not None and now - max(refused, began) > ERROR_TIMEOUT_S:
+            return Failure(Reason.NO_PARTS, self._refusal_text)
         seen = self.reports.get("detector")
         # An error of the detector means that its positions are wrong.
         wrong = seen is not None and seen.level is Level.ERROR

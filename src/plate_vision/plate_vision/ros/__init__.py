@@ -2,7 +2,8 @@
 helps to aim the camera, and the conversion of camera_info."""
 
 from .aiming import AimingView
+from .image_topics import silence_advice
 from .lens import lens_of
 from .parameters import DetectorParameters
 
-__all__ = ["AimingView", "DetectorParameters", "lens_of"]
+__all__ = ["AimingView", "DetectorParameters", "lens_of", "silence_advice"]

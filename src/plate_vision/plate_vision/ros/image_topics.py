@@ -1,0 +1,47 @@
+"""Advice for the user if no image arrives on the detector's topic."""
+
+from __future__ import annotations
+
+from rclpy.node import Node
+
+COMPRESSED = "/compressed"
+"""End of the topic of compressed images. The rest is the topic of the raw images."""
+
+KINDS = {"sensor_msgs/msg/Image": "raw", "sensor_msgs/msg/CompressedImage": "compressed"}
+"""Types of messages with images, and the values of the parameter `image_transport`."""
+
+OWN = "detections_image"
+"""Topic of images that the detector itself publishes."""
+
+SHOWN = 3
+"""Maximum number of topics in a message."""
+
+
+def silence_advice(node: Node, topic: str) -> str:
+    """Return what to check if no image arrives on a topic (its full name). If no node publishes
+    this topic, the text names existing topics with images."""
+    if node.count_publishers(topic):
+        return "check that the camera runs"
+    own = node.resolve_topic_name(OWN)
+    found = {
+        name: KINDS[kinds[0]]
+        for name, kinds in node.get_topic_names_and_types()
+        if kinds[0] in KINDS and name != own and node.count_publishers(name)
+    }
+    is_compressed = topic.endswith(COMPRESSED)
+    other = topic.removesuffix(COMPRESSED) if is_compressed else topic + COMPRESSED
+    if other in found:
+        return (
+            f"no node publishes this topic, but {other} exists: set the detector's parameter "
+            f"image_transport to {found[other]}"
+        )
+    wanted = "compressed" if is_compressed else "raw"
+    same = sorted(name for name, kind in found.items() if kind == wanted)
+    rest = sorted(name for name in found if name not in same)
+    if not found:
+        return "no node publishes this topic or other images; check that the camera runs"
+    listed = ", ".join([*same, *rest][:SHOWN])
+    return (
+        "no node publishes this topic; check that the camera runs, or remap image_raw and "
+        f"camera_info to the camera's topics (topics with images: {listed})"
+    )
