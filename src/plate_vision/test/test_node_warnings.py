@@ -7,8 +7,8 @@ pytest.importorskip("rclpy")
 
 from detector_graph import CENTRE_PX, LABEL, Graph, image, names
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from shown_text import says
 from sensor_msgs.msg import CompressedImage, Image
+from shown_text import says
 from std_srvs.srv import Trigger
 from stepped_clock import STEP_S
 

@@ -26,8 +26,9 @@ contains the more exact reason."""
 
 ERROR_TIMEOUT_S = 1.0
 """Maximum duration of an error that the driver or the detector reports, and maximum time in which
-all messages of the topic parts are refused [s]. If it lasts longer, the task ends. Shorter errors are tolerated, because a connection may fail for a short time,
-and the detector may misinterpret a single image."""
+all messages of the topic parts are refused [s]. If it lasts longer, the task ends. Shorter errors
+are tolerated, because a connection may fail for a short time, and the detector may misinterpret a
+single image."""
 
 REPORT_TIMEOUT_S = 1.3
 """Maximum age of a node's diagnostics [s]. Nodes publish diagnostics once per second. If the newest
