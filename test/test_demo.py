@@ -21,7 +21,7 @@ pytest.importorskip("rclpy")
 
 import play
 from demo import arguments
-from graph.demo import LAST, clear_folder, make_run_folder, rig_title, watch_task
+from graph.demo import LAST, StatusLine, clear_folder, make_run_folder, rig_title, watch_task
 from graph.demo import demo as run
 from graph.observer import Received, Record
 from graph.processes import Interrupted
@@ -385,3 +385,28 @@ def test_a_frozen_planner_is_named_within_two_seconds(monkeypatch, capsys):
     times = [float(line.split()[-2]) for line in lines if "progress at" in line]
     assert times[-1] == 11.0
     assert not [t for t in times if 5.0 <= t <= 8.0]
+
+
+def test_a_new_reason_of_a_wait_is_printed_soon_without_a_terminal(capsys, monkeypatch):
+    """A line with other numbers waits for its period; a line with other words does not."""
+    now = 100.0
+    monkeypatch.setattr("graph.demo.time.monotonic", lambda: now)
+    line = StatusLine(10.0)
+    for step, text in ((0, "a 1 s"), (2, "a 3.5 s"), (0, "b: silent"), (0.5, "c"), (0.6, "c")):
+        now += step
+        line.show(text)
+    assert capsys.readouterr().out.split("\n") == ["  a 1 s", "  b: silent", "  c", ""]
+    now += 5.0
+    line.show("c")
+    assert capsys.readouterr().out == ""
+
+
+def test_a_status_line_that_is_longer_than_the_terminal_is_wide_is_erased(capsys, monkeypatch):
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", "40")
+    line = StatusLine(10.0)
+    line.show("x" * 100)  # three rows
+    line.show("y" * 38)  # one row
+    line.end("end")
+    shown = capsys.readouterr().out
+    assert shown == f"\r\033[J  {'x' * 100}\033[2A\r\033[J  {'y' * 38}\r\033[J  end\n"

@@ -85,3 +85,16 @@ def test_a_stop_during_the_wait_is_not_cleared(observer):
     with pytest.raises(GraphError, match="stopped before the task began, driver: red"):
         observer.enable(observer.check_not_stopped)
     assert driver.calls == 0
+
+
+def test_the_reason_of_a_wait_for_a_service_is_shown(observer, monkeypatch):
+    """An enable without a reply, while the driver reports that the device is silent."""
+    monkeypatch.setattr("graph.observer.CALL_S", 1.0)
+    monkeypatch.setattr("graph.observer.SLOW_REPLY_S", 0.2)
+    shown: list[str] = []
+    monkeypatch.setattr(observer, "_waiting", shown.append)
+    observer.record.driver = SILENT
+    with pytest.raises(GraphError, match="service enable did not answer"):
+        observer.call(SetBool, "enable", SetBool.Request())
+    assert shown
+    assert shown[0].endswith("for the service enable; the driver reports: silent")

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import re
 import select
 import shutil
 import sys
@@ -617,31 +618,42 @@ def rig_title(rig: str) -> str:
 
 class StatusLine:
     """Line of output that is overwritten on a terminal. If the output is not a terminal, a new line
-    is printed at most every `period_s` [s]."""
+    is printed at most every `period_s` [s]. A text with other words is printed after at most
+    `NEWS_S`, so that the reason of a wait is known soon. Numbers do not count as words."""
 
     PERIOD_S = 0.25
+    NEWS_S = 1.0
 
     def __init__(self, period_s: float) -> None:
         self._period_s, self._terminal = period_s, sys.stdout.isatty()
-        self._shown_at, self._open = 0.0, False
+        self._shown_at, self._words, self._length = 0.0, "", 0
 
     def show(self, text: str) -> None:
         """Show a text."""
         now = time.monotonic()
         if self._terminal:
-            print(f"\r\033[K  {text}", end="", flush=True)
-            self._open = True
-        elif now - self._shown_at >= self._period_s:
-            self._shown_at = now
+            print(f"{self._erase()}  {text}", end="", flush=True)
+            self._length = len(text) + 2
+            return
+        words = re.sub(r"[\d.]+", "", text)
+        period_s = self._period_s if words == self._words else min(self.NEWS_S, self._period_s)
+        if now - self._shown_at >= period_s:
+            self._shown_at, self._words = now, words
             print(f"  {text}", flush=True)
 
     def end(self, text: str = "") -> None:
         """End the line with a last text, or erase the line if the text is empty."""
         if text:
-            print(f"\r\033[K  {text}" if self._terminal else f"  {text}", flush=True)
-        elif self._open:
-            print("\r\033[K", end="", flush=True)
-        self._open = False
+            print(f"{self._erase() if self._terminal else ''}  {text}", flush=True)
+        elif self._length:
+            print(self._erase(), end="", flush=True)
+        self._length = 0
+
+    def _erase(self) -> str:
+        """Return the characters that erase the last text. A text that is longer than the terminal
+        is wide occupies several rows."""
+        rows = max(0, self._length - 1) // max(1, shutil.get_terminal_size().columns)
+        return (f"\033[{rows}A" if rows else "") + "\r\033[J"
 
 
 def progress(task: Task, record: Record) -> str:

@@ -48,6 +48,9 @@ CALL_S, AGAIN_S = 10.0, 1.0
 be called twice is called again [s]. DDS can lose the first reply of a service that was just
 discovered."""
 
+SLOW_REPLY_S = 0.5
+"""Time without a reply of a service after which the wait is reported [s]."""
+
 AFTER = {
     "configure": "inactive", "activate": "active", "deactivate": "inactive",
     "cleanup": "unconfigured",
@@ -553,13 +556,27 @@ class Observer:
             If there is no reply within `CALL_S`.
         """
         client = self.node.create_client(kind, service)
+        began = time.monotonic()
+
+        def received(true: Callable[[], bool], timeout_s: float) -> bool:
+            end = time.monotonic() + timeout_s
+            while not self.until(true, min(REPORT_S, max(0.0, end - time.monotonic()))):
+                now = time.monotonic()
+                if now - began > SLOW_REPLY_S:
+                    last = "" if self.record.driver is None else str(self.record.driver.text)
+                    driver = f"; the driver reports: {last}" if last else ""
+                    self._waiting(f"waiting {now - began:.0f} s for the service {service}{driver}")
+                if now >= end:
+                    return False
+            return True
+
         try:
             answers: list[Any] = []
             tries = range(round(CALL_S / again_s))
-            for _ in tries if self.until(client.service_is_ready, CALL_S) else ():
+            for _ in tries if received(client.service_is_ready, CALL_S) else ():
                 future = client.call_async(request)
                 future.add_done_callback(lambda done: answers.append(done.result()))
-                if self.until(lambda: bool(answers), again_s):
+                if received(lambda: bool(answers), again_s):
                     return answers[0]
             raise GraphError(f"service {service} did not answer within {CALL_S:g} s")
         finally:
