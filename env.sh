@@ -6,6 +6,7 @@ _plate_shell=bash
 [ -n "${ZSH_VERSION:-}" ] && _plate_shell=zsh
 
 if [ -f "$_plate_root/.venv/bin/activate" ] && [ -f "$_plate_root/install/setup.$_plate_shell" ]; then
+    _plate_others="${PYTHONPATH:-}"
     . "$_plate_root/.venv/bin/activate"
     . "$_plate_root/install/setup.$_plate_shell"
 
@@ -27,10 +28,31 @@ if [ -f "$_plate_root/.venv/bin/activate" ] && [ -f "$_plate_root/install/setup.
     # Programs of tools/ and bench/ import modules from their own folder
     unset PYTHONSAFEPATH
 
+    # Libraries of this project's Python give warnings, which must not end a program
+    case "${PYTHONWARNINGS:-}" in
+        error* | *,error*)
+            echo "env.sh: PYTHONWARNINGS is '$PYTHONWARNINGS', which turns warnings of libraries into errors; unset here" >&2
+            unset PYTHONWARNINGS ;;
+    esac
+
+    # Other folders in PYTHONPATH come before this project's libraries: check that these still load
+    case "$_plate_others" in
+        "" | "$_plate_root"/install/* | /opt/ros/*) ;;
+        *)
+            if ! _plate_problem="$(python -c 'import numpy, scipy, cv2, yaml, rclpy' 2>&1)"; then
+                echo "env.sh: PYTHONPATH is '$_plate_others', and with it Python cannot load the project's libraries:" >&2
+                printf '%s\n' "$_plate_problem" | grep -E '^ *File|^[A-Za-z.]+(Error|Exception)' | tail -n 2 >&2
+                echo "env.sh: run this command, and repeat: unset PYTHONPATH" >&2
+                unset _plate_root _plate_shell _plate_others _plate_problem
+                return 1 2>/dev/null || exit 1
+            fi
+            unset _plate_problem ;;
+    esac
+
     # Numerics: the matrices are small, so threads would only get in each other's way
     export OPENBLAS_NUM_THREADS="${OPENBLAS_NUM_THREADS:-1}"
     export OMP_NUM_THREADS="${OMP_NUM_THREADS:-1}"
-    unset _plate_root _plate_shell
+    unset _plate_root _plate_shell _plate_others
 else
     echo "The workspace is not set up yet. Run: make -C '$_plate_root' setup" >&2
     unset _plate_root _plate_shell

@@ -165,3 +165,26 @@ def test_on_a_bare_machine_it_names_all_packages_in_one_screen(tmp_path, version
     assert line in done.stderr
     assert done.returncode == 1
     assert len((done.stdout + done.stderr).splitlines()) < 8
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "code", "words"),
+    [
+        ("PYTHONWARNINGS", "default,error::UserWarning", 0, "unset here"),
+        ("PYTHONPATH", "{folder}", 1, "ImportError: another numpy"),
+        ("PYTHONPATH", "{folder}/empty", 0, ""),
+        ("PYTHONHOME", "{folder}", 0, ""),
+    ],
+)
+def test_variables_of_python_that_stop_all_programs_are_named(tmp_path, name, value, code, words):
+    """env.sh unsets the variable, or ends with its name and the reason."""
+    (tmp_path / "numpy").mkdir()
+    (tmp_path / "numpy" / "__init__.py").write_text("raise ImportError('another numpy')")
+    clean = {key: text for key, text in os.environ.items() if not key.startswith("PYTHON")}
+    done = subprocess.run(
+        ["bash", "-c", ". ./env.sh && python -c 'import plate_core; print(12)'"],
+        cwd=ROOT, env=clean | {name: value.format(folder=tmp_path)}, text=True, capture_output=True,
+    )  # fmt: skip
+    assert (done.returncode, done.stdout) == (code, "" if code else "12\n")
+    assert done.stderr.startswith(f"env.sh: {name} is '") if words else not done.stderr
+    assert words in done.stderr

@@ -324,7 +324,10 @@ mkdir -p log
 touch log/COLCON_IGNORE
 scratch=$(mktemp -d)
 trap 'end_group "$compiling"; end_group "$telling"; rm -rf "$scratch"; put_back' EXIT
+# These variables of the user's shell change what Python and pip do: they would take other folders' packages for installed.
+unset PYTHONHOME PYTHONWARNINGS
 choose_ros
+[ "$ros" = jazzy ] || unset PYTHONPATH
 read_versions
 put_back # of a set-up that was killed
 prepare_environment
