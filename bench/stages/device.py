@@ -51,4 +51,4 @@ def run_device(link: str, ready: Event, done: Event) -> Iterator[bytes]:
             emulator.tick()
         terminal.write(emulator.to_host.arrived(emulator.now))
         time.sleep(0.0005)
-    terminal.unplug()
+    terminal.close()

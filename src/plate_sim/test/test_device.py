@@ -2,6 +2,8 @@
 
 import itertools
 import os
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -325,3 +327,40 @@ def test_terminal_is_a_serial_port_that_can_be_unplugged(tmp_path):
     link.write_text("mine")
     with pytest.raises(PlateError, match="which is a file"):
         terminal.plug()
+    terminal.close()
+
+
+HOLD = """
+import sys
+from plate_sim.device.pty import PseudoTerminal
+terminal = PseudoTerminal(sys.argv[1])
+terminal.plug()
+print("plugged", flush=True)
+sys.stdin.read()
+"""
+
+
+def test_a_second_device_does_not_take_the_port_of_a_running_one(tmp_path):
+    """Also while the first device is disconnected. A killed device leaves a link without a
+    claim."""
+    link, other = tmp_path / "port", tmp_path / "folder" / ".." / "port"
+    (tmp_path / "folder").mkdir()
+    command = [sys.executable, "-c", HOLD, str(link)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as holder:
+        assert holder.stdout.readline() == b"plugged\n"
+        port = os.readlink(link)
+        second = PseudoTerminal(other)
+        with pytest.raises(PlateError, match="which another simulated device uses, allowed: a na"):
+            second.plug()
+        assert os.readlink(link) == port
+        holder.kill()
+    assert os.path.lexists(link)
+    second.plug()
+    second.unplug()
+    third = PseudoTerminal(link)
+    with pytest.raises(PlateError, match="another simulated device"):
+        third.plug()
+    second.close()
+    third.plug()
+    third.close()
+    assert not os.path.lexists(link)

@@ -110,7 +110,7 @@ class DeviceNode(SafeLifecycleNode[Options]):
         self._rig = load_rig(options.rig_file)
         self._emulator = self._make_device()
         self._terminal = PseudoTerminal(options.link)
-        self.keep(PseudoTerminal.unplug, self._terminal)
+        self.keep(PseudoTerminal.close, self._terminal)
         self._terminal.plug()
         self._motions = self.managed_publisher(JointTrajectory, "motor_motion", DATA)
         self._pulses = self.managed_publisher(Header, "camera_trigger", DATA)
