@@ -3,9 +3,11 @@ requested, a recorder."""
 
 from __future__ import annotations
 
+import difflib
 import re
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from datetime import datetime
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -64,10 +66,14 @@ HARDWARE = {
 """Arguments of the launch files. If an argument is omitted, the value in the parameter files is
 used."""
 
+FLAGS = ("lockstep", "one_process", "autostart", "record", "view")
+"""Arguments that are true or false. Python expressions of launch files write them with a capital
+letter."""
+
 CHOICES = {
     "method": ("rotations", "sinusoids"),
     "transport": ("sim", "serial"),
-    **dict.fromkeys(("lockstep", "one_process", "autostart", "record", "view"), ("true", "false")),
+    **dict.fromkeys(FLAGS, ("true", "false", "True", "False")),
 }
 
 OPTIONS: Mapping[str, Callable[[str], Any]] = {
@@ -76,7 +82,11 @@ OPTIONS: Mapping[str, Callable[[str], Any]] = {
     "port": str, "camera": str, "recipe": str,
 }  # fmt: skip
 """Arguments of the launch files that are fields of `RunOptions`, with the functions that convert
-their texts."""
+their texts. The texts of flags are in lower case."""
+
+SIMILAR = 0.8
+"""Minimum similarity of a name to a known name for the assumption that the name is misspelled
+(ratio of difflib)."""
 
 PACKAGE = "plate_bringup"
 
@@ -168,13 +178,18 @@ def start(hardware: bool, file: str, context: Any) -> list[Any]:
     Raises
     ------
     GraphError
-        If an argument is unknown, or if the parameter file does not exist. Without this check, ROS
-        would ignore a missing parameter file and start the nodes without its parameters.
+        If an argument is unknown, if a number is invalid, or if the parameter file does not exist.
+        Without this check, ROS would ignore a missing parameter file and start the nodes without
+        its parameters.
     """
     check_arguments(hardware, sys.argv, file)
     known = argument_descriptions(hardware)
-    given = {n: text for n, text in context.launch_configurations.items() if text and n in known}
-    values = {name: read(given[name]) for name, read in OPTIONS.items() if name in given}
+    given = {
+        name: text.lower() if name in FLAGS else text
+        for name, text in context.launch_configurations.items()
+        if text and name in known
+    }
+    values = {name: _convert(name, given[name]) for name in OPTIONS if name in given}
     own = []
     if "params_file" in given:
         own.append(given["params_file"])
@@ -198,7 +213,14 @@ def start(hardware: bool, file: str, context: Any) -> list[Any]:
     topics = {"image_raw": given.get("image_topic"), "camera_info": given.get("info_topic")}
     waiting = [{"autostart": False}] if given.get("autostart") == "false" else []
     defaults = default_files(hardware, space, [node.name for node in options.nodes(load_graph())])
-    actions: list[Any] = [OpaqueFunction(function=partial(_prepend_parameter_files, defaults))]
+    actions: list[Any] = [OpaqueFunction(function=partial(_set_parameter_files, defaults))]
+    actions += [
+        LogInfo(msg=f"warning: {text}")
+        for text in (
+            *misspelled_arguments(hardware, context.launch_configurations, Path(file).name),
+            *(text for path in own for text in unused_sections(path, space, names)),
+        )
+    ]
     for rig in (rigs or [""]) if hardware else ():
         facts = unmeasured(load_rig(rig))
         actions += [LogInfo(msg=f"this rig is not fully measured. {text}") for text in facts]
@@ -212,13 +234,101 @@ def start(hardware: bool, file: str, context: Any) -> list[Any]:
             on_exit=None if name in views else partial(_shut_down, name, last_line),
             **program | {"parameters": [*own, program["parameters"], *waiting]},
         )
-        listen = OnProcessIO(target_action=process, on_stderr=partial(_record_last_line, last_line))
-        actions.append(RegisterEventHandler(listen))
-        actions.append(process)
+        actions += [_listen_to(process, last_line), process]
     if given.get("record") == "true":
-        record = ["ros2", "bag", "record", "--storage", "mcap", "--all"]
-        actions.append(ExecuteProcess(cmd=record, output="screen"))
+        last_line = [""]
+        recorder = ExecuteProcess(
+            cmd=["ros2", "bag", "record", "--storage", "mcap", "--all", *bag_name(space)],
+            output="screen",
+            on_exit=partial(_report_end_of_recorder, last_line),
+        )
+        actions += [_listen_to(recorder, last_line), recorder]
     return [GroupAction(actions)]
+
+
+def _convert(name: str, text: str) -> Any:
+    """Return the value of an argument.
+
+    Raises
+    ------
+    GraphError
+        If the argument is a number, and the text is not.
+    """
+    try:
+        return OPTIONS[name](text)
+    except ValueError:
+        kind = "an integer" if OPTIONS[name] is int else "a number"
+        raise GraphError(f"launch argument {name} is {text!r}, allowed: {kind}") from None
+
+
+def misspelled_arguments(hardware: bool, given: Iterable[str], file: str) -> list[str]:
+    """Return warnings about names of launch configurations that are similar to an argument.
+
+    If another launch file includes this one, ROS passes all names of the other file, too. Therefore
+    an unknown name is no error. Names such as `ros_namespace` belong to ROS.
+
+    Parameters
+    ----------
+    hardware : bool
+    given : iterable of str
+        Names of all launch configurations.
+    file : str
+        Name of the launch file.
+    """
+    known, other = argument_descriptions(hardware), argument_descriptions(not hardware)
+    near = {
+        name: difflib.get_close_matches(name, known, n=1, cutoff=SIMILAR)
+        for name in given
+        if name not in known and name not in other and not name.startswith("ros_")
+    }
+    return [
+        f"{file} has no argument {name!r} and ignores it (did you mean {words[0]}?)"
+        for name, words in near.items()
+        if words
+    ]
+
+
+def unused_sections(path: str, space: str, names: Sequence[str]) -> list[str]:
+    """Return warnings about the sections of a parameter file that are probably for the nodes, but
+    match none of them.
+
+    Such a section has no namespace although the nodes have one, or a misspelled name. Sections of
+    other namespaces can be for other plates, and sections with other names for other nodes.
+
+    Parameters
+    ----------
+    path : str
+        Parameter file. The nodes report an unreadable file.
+    space : str
+        Namespace of the nodes, without slashes at its ends.
+    names : sequence of str
+        Names of the nodes.
+    """
+    warnings = []
+    for section, _ in _read_sections(path):
+        name = section.removeprefix("/")
+        if name in names and space:
+            warnings.append(
+                f"params_file {path}: the section {section} does not match the node "
+                f"/{space}/{name}, allowed: /**/{name} or /{space}/{name}"
+            )
+        last = section.rpartition("/")[2]
+        near = difflib.get_close_matches(last, names, n=1, cutoff=SIMILAR)
+        if near and last not in names:
+            warnings.append(
+                f"params_file {path}: no node has the name {last!r} of the section {section} "
+                f"(did you mean {near[0]}?)"
+            )
+    return warnings
+
+
+def bag_name(space: str) -> list[str]:
+    """Return the options of `ros2 bag record` for the name of the bag. If there is a namespace, the
+    name contains it, because recorders that start in the same second would use the same name.
+    Without a namespace, ROS selects the name."""
+    if not space:
+        return []
+    return ["--output", f"rosbag2_{datetime.now():%Y_%m_%d-%H_%M_%S}_{space.replace('/', '_')}"]
 
 
 def rig_files_in(parameters: Sequence[Any], space: str, names: Sequence[str]) -> list[str]:
@@ -239,18 +349,31 @@ def rig_files_in(parameters: Sequence[Any], space: str, names: Sequence[str]) ->
         if isinstance(each, tuple):
             rigs += [str(each[1])] if each[0] == "rig_file" else []
             continue
-        try:
-            data = _Loader(read_file(str(each), YAML_BYTES)).get_single_data()
-            sections = list(_find_sections(data))
-        # PyYAML raises an OverflowError for an escape sequence beyond the range of Unicode.
-        except (PlateError, yaml.YAMLError, OverflowError, RecursionError):
-            continue
         rigs += [
             str(values["rig_file"])
-            for section, values in sections
-            if values.get("rig_file") and any(re.fullmatch(section, path) for path in paths)
+            for section, values in _read_sections(str(each))
+            if values.get("rig_file")
+            and any(re.fullmatch(_section_pattern(section), path) for path in paths)
         ]
     return list(dict.fromkeys(rigs))
+
+
+def _read_sections(path: str) -> list[tuple[str, dict[Any, Any]]]:
+    """Return the sections of a parameter file as `_find_sections` yields them. If the file is
+    unreadable, the list is empty."""
+    try:
+        data = _Loader(read_file(path, YAML_BYTES)).get_single_data()
+        return list(_find_sections(data))
+    # PyYAML raises an OverflowError for an escape sequence beyond the range of Unicode.
+    except (PlateError, yaml.YAMLError, OverflowError, RecursionError):
+        return []
+
+
+def _section_pattern(section: str) -> str:
+    """Return the regular expression that the full names of a section's nodes match. In a section,
+    `*` stands for one level of a node's name, and `**` for any number of levels."""
+    levels = section.removeprefix("/").split("/")
+    return "".join(LEVELS.get(level, "/" + re.escape(level)) for level in levels)
 
 
 class _Loader(yaml.BaseLoader):
@@ -265,16 +388,14 @@ class _Loader(yaml.BaseLoader):
 
 
 def _find_sections(data: Any, above: str = "") -> Iterator[tuple[str, dict[Any, Any]]]:
-    """Yield each section of a parameter file: a regular expression that the full names of its nodes
-    match, and its parameters. In the names of sections, `*` stands for one level of a node's name,
-    and `**` for any number of levels."""
+    """Yield each section of a parameter file: its name with a slash before each level, and its
+    parameters."""
     for key, value in data.items() if isinstance(data, dict) else ():
         if key == "ros__parameters" and isinstance(value, dict):
             yield above, value
         else:
-            levels = [level for level in str(key).split("/") if level]
-            own = [LEVELS.get(level, "/" + re.escape(level)) for level in levels]
-            yield from _find_sections(value, above + "".join(own))
+            own = "".join(f"/{level}" for level in str(key).split("/") if level)
+            yield from _find_sections(value, above + own)
 
 
 def default_files(hardware: bool, space: str, names: Sequence[str]) -> list[str]:
@@ -289,16 +410,26 @@ def default_files(hardware: bool, space: str, names: Sequence[str]) -> list[str]
     return files
 
 
-def _prepend_parameter_files(defaults: Sequence[str], context: Any) -> None:
-    """Place the default parameter files before all other parameters.
+def _set_parameter_files(defaults: Sequence[str], context: Any) -> None:
+    """Place the default parameter files before all other parameters, and write the parameters of
+    outer actions SetParameter into files.
 
     ROS merges all files by the names of their sections. If two sections match a node, ROS compares
     the places at which their names first occur. The section with the later place has priority.
     Therefore `/**/solver` in the default files must occur before a section such as `/left/solver`
     in a user's file. launch_ros passes the parameters of outer actions, such as
     SetParametersFromFile, before the parameters of the node.
+
+    launch_ros passes a parameter of SetParameter as an option `-p`. A node refuses such an option
+    if it does not have the parameter. In the section `/**` of a file, the parameter has the same
+    priority, and can be for other nodes.
     """
-    outer = context.launch_configurations.get("global_params", [])
+    outer = [
+        _write_temporary_file(yaml.safe_dump({"/**": {"ros__parameters": dict([each])}}))
+        if isinstance(each, tuple)
+        else each
+        for each in context.launch_configurations.get("global_params", [])
+    ]
     context.launch_configurations["global_params"] = [*defaults, *outer]
 
 
@@ -330,6 +461,14 @@ def programs(
     return {"one_process": program | {"arguments": names, "parameters": file}}
 
 
+def _listen_to(process: Any, last_line: list[str]) -> Any:
+    """Return the action that stores the last line of a process in `last_line`. Nodes write to
+    stdout if the variable RCUTILS_LOGGING_USE_STDOUT is set."""
+    store = partial(_record_last_line, last_line)
+    listen = OnProcessIO(target_action=process, on_stdout=store, on_stderr=store)
+    return RegisterEventHandler(listen)
+
+
 def _record_last_line(last_line: list[str], event: Any) -> None:
     lines = event.text.decode(errors="replace").strip().splitlines()
     last_line[:] = lines[-1:] or last_line
@@ -341,3 +480,11 @@ def _shut_down(name: str, last_line: list[str], event: Any, context: Any) -> lis
         return None
     why = f"{name} ended with exit code {event.returncode}: {last_line[0]}"
     return [LogInfo(msg=why), Shutdown(reason=why)]
+
+
+def _report_end_of_recorder(last_line: list[str], event: Any, context: Any) -> list[Any] | None:
+    """Log that the recorder has ended. The nodes continue."""
+    if context.is_shutdown:
+        return None
+    why = f"the recorder ended with exit code {event.returncode}: {last_line[0]}"
+    return [LogInfo(msg=f"warning: no messages are recorded any more: {why}")]

@@ -1,6 +1,7 @@
 """The launch files: the actions that they start, with stand-ins of `launch`, and with `launch`
 itself if it is installed."""
 
+import re
 import subprocess
 import sys
 import types
@@ -11,6 +12,7 @@ import yaml
 
 from plate_bringup import GraphError, RunOptions, load_graph
 from plate_core import config_path
+from plate_core.ros.params import wildcard_parameters
 
 LAUNCH = Path(__file__).resolve().parents[1] / "launch"
 NAMES = ["simulator", "detector", "planner", "solver", "driver"]
@@ -74,6 +76,14 @@ def started(file, outer=(), **given):
     return {getattr(node, "name", node.executable): node for node in nodes}, others
 
 
+def messages(file, **given):
+    """The texts that a launch file logs before it starts its nodes."""
+    *arguments, start = described(file)
+    values = {a.args[0]: a.default_value for a in arguments} | given
+    (group,) = start.function(types.SimpleNamespace(launch_configurations=values))
+    return [action.msg for action in group.args[0] if action.kind == "LogInfo"]
+
+
 def in_ros(node, folder, space=""):
     """The values that ROS gives to a node of this name from its files, by rcl's own rule."""
     rclpy = pytest.importorskip("rclpy")
@@ -121,6 +131,24 @@ def test_arguments_come_before_files_and_files_before_defaults(stand_in, tmp_pat
     assert values.get("frame_prefix", "") == (f"{space}/" if space else "")
     driver = in_ros(nodes["driver"], tmp_path, f"/{space}" if space else "")
     assert driver["transport"] == "serial"
+
+
+@pytest.mark.parametrize("space", ["", "cell/left"])
+def test_parameters_of_outer_actions_are_for_all_nodes(stand_in, tmp_path, space):
+    """Those of SetParameter have the priority of a section `/**`, and nodes can ignore them."""
+    own = tmp_path / "own.yaml"
+    own.write_text("/**/solver: {ros__parameters: {restarts: 4}}", encoding="utf-8")
+    outer = [("method", "rotations"), ("robot_name", "7"), ("seed", 3), ("gains", (1.0, 2.5))]
+    given = {"namespace": space, "seed": "5", "params_file": str(own)}
+    nodes, _ = started("closed_loop", outer, **given)
+    assert not [each for node in nodes.values() for each in node.parameters if type(each) is tuple]
+    place = f"/{space}" if space else ""
+    values = in_ros(nodes["solver"], tmp_path, place)
+    assert (values["method"], values["seed"], values["restarts"]) == ("rotations", 5, 4)
+    assert (values["robot_name"], list(values["gains"])) == ("7", [1.0, 2.5])
+    assert in_ros(nodes["detector"], tmp_path, place)["seed"] == 3
+    words = [word for path in nodes["detector"].parameters[:-2] for word in ("--params-file", path)]
+    assert wildcard_parameters(words, "detector") == {name for name, _ in outer}
 
 
 def test_a_file_may_take_the_prefix_of_frames_away(stand_in, tmp_path):
@@ -220,10 +248,7 @@ def test_a_parameter_file_sets_the_rig_of_the_nodes_that_its_sections_match(
 
 def test_unmeasured_facts_are_those_of_the_rig_that_the_nodes_use(stand_in, tmp_path):
     def facts(**given):
-        *arguments, start = described("hardware")
-        values = {a.args[0]: a.default_value for a in arguments} | given
-        (group,) = start.function(types.SimpleNamespace(launch_configurations=values))
-        return [action.msg for action in group.args[0] if action.kind == "LogInfo"]
+        return messages("hardware", **given)
 
     own, rig = tmp_path / "own.yaml", tmp_path / "rig.yaml"
     text = config_path("rig.yaml").read_text(encoding="utf-8")
@@ -257,6 +282,70 @@ def test_of_the_file_that_is_started_every_argument_is_ours(
     monkeypatch.setattr(sys, "argv", ["ros2", "launch", *path, "seed:=3", f"{name}:=x"])
     with pytest.raises(GraphError, match=f"^launch argument {words}"):
         started(file, seed="3", **{name: "x"})
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "kind"),
+    [("seed", "x", "an integer"), ("seed", "1.5", "an integer"), ("rate", "fast", "a number")],
+)
+def test_a_number_that_is_none_is_refused_by_name(stand_in, name, text, kind):
+    with pytest.raises(GraphError, match=f"^launch argument {name} is '{text}', allowed: {kind}$"):
+        started("closed_loop", **{name: text})
+
+
+def test_flags_can_have_the_case_of_python(stand_in):
+    given = {"lockstep": "True", "view": "True", "autostart": "False", "record": "False"}
+    nodes, others = started("closed_loop", **given)
+    assert nodes["simulator"].parameters[-2]["lockstep"] is True
+    assert "page" in nodes
+    assert {"autostart": False} in nodes["solver"].parameters
+    assert not others
+    nodes, others = started("closed_loop", one_process="True", record="True")
+    assert (list(nodes), len(others)) == (["one_process"], 1)
+    choices = {a.args[0]: a.choices for a in described("closed_loop")[:-1]}
+    assert all(text in choices[name] for name, text in given.items())
+
+
+def test_names_that_are_similar_to_an_argument_are_reported(stand_in):
+    others = {"port": "/dev/robot", "rig": "ur5", "name": "x", "ros_namespace": "/cell"}
+    assert messages("closed_loop", **others) == []
+    (text,) = messages("closed_loop", scenaro="sort_4")
+    hint = "has no argument 'scenaro' and ignores it (did you mean scenario?)"
+    assert text == f"warning: closed_loop.launch.py {hint}"
+
+
+def test_sections_that_are_probably_meant_for_the_nodes_are_reported(stand_in, tmp_path):
+    own = tmp_path / "own.yaml"
+
+    def reports(section, **given):
+        own.write_text(f"{section}: {{ros__parameters: {{seed: 1}}}}", encoding="utf-8")
+        return [text.partition("own.yaml: ")[2] for text in
+                messages("closed_loop", params_file=str(own), **given)]  # fmt: skip
+
+    for section in ("solver", "/solver"):
+        assert reports(section) == []
+        hint = "does not match the node /left/solver, allowed: /**/solver or /left/solver"
+        assert reports(section, namespace="left") == [f"the section /solver {hint}"]
+    for section in ("/**/solvr", "/left/solvr", "solvr"):
+        (text,) = reports(section, namespace="left")
+        assert text.startswith("no node has the name 'solvr' of the section ")
+        assert text.endswith(" (did you mean solver?)")
+    for section in ("/**", "/*", "/**/solver", "/left/solver", "/right/solver", "arm", "/left/arm"):
+        assert reports(section, namespace="left") == []
+
+
+def test_a_recorder_has_a_bag_of_its_own_and_reports_its_end(stand_in):
+    bags = []
+    for space in ("left", "cell/left", "right"):
+        _, (recorder,) = started("closed_loop", record="true", namespace=space)
+        assert recorder.cmd[-2] == "--output"
+        bags.append(re.fullmatch(r"rosbag2(_\d+){3}-\d\d_\d\d_\d\d_(.*)", recorder.cmd[-1])[2])
+    assert bags == ["left", "cell_left", "right"]
+    running, over = (types.SimpleNamespace(is_shutdown=flag) for flag in (False, True))
+    ended = types.SimpleNamespace(returncode=2)
+    (told,) = recorder.on_exit(ended, running)
+    assert "no messages are recorded any more: the recorder ended with exit code 2" in told.msg
+    assert recorder.on_exit(ended, over) is None
 
 
 OTHERS = {
@@ -334,6 +423,7 @@ def test_nodes_that_somebody_else_starts_wait(stand_in):
 def test_few_values_are_choices(stand_in):
     choices = {a.args[0]: a.choices for a in described("closed_loop")[:-1]}
     assert choices["method"] == ["", "rotations", "sinusoids"]
+    assert choices["view"] == ["", "true", "false", "True", "False"]
     assert choices["transport"] == ["", "sim", "serial"]
     assert choices["scenario"] is None
     # On hardware there may be transports of others.
@@ -348,6 +438,20 @@ def test_a_node_that_ends_takes_the_others_down_and_its_last_words_are_shown(sta
     assert told.msg == shutdown.reason == "solver ended with exit code 2: "
     assert shutdown.kind == "Shutdown"
     assert nodes["solver"].on_exit(ended, over) is None
+
+
+def test_the_last_line_is_that_of_either_stream(stand_in):
+    *arguments, start = described("closed_loop")
+    values = {a.args[0]: a.default_value for a in arguments}
+    (group,) = start.function(types.SimpleNamespace(launch_configurations=values))
+    listens = [each.args[0] for each in group.args[0] if each.kind == "RegisterEventHandler"]
+    node = next(listen.target_action for listen in listens if listen.target_action.name == "solver")
+    for listen in (each for each in listens if each.target_action is node):
+        for stream, text in (("on_stderr", b"one\n"), ("on_stdout", b"two\nthree\n\n")):
+            getattr(listen, stream)(types.SimpleNamespace(text=text))
+            running = types.SimpleNamespace(is_shutdown=False)
+            told, _ = node.on_exit(types.SimpleNamespace(returncode=1), running)
+            assert told.msg.endswith(text.decode().split()[-1])
 
 
 def test_the_driver_talks_to_the_simulated_device(stand_in):

@@ -154,3 +154,23 @@ def test_its_parameters_are_those_of_the_nodes():
     assert set(names["solver"]) <= SolverOptions.__dataclass_fields__.keys()
     assert set(names["detector"]) <= DetectorParameters.__dataclass_fields__.keys()
     assert names["**"] == ["robot_name"]
+
+
+@pytest.mark.needs("launch_ros")
+def test_parameters_of_outer_actions_are_no_options_of_the_command_lines(tmp_path):
+    """A node would refuse an option that is for another node."""
+    outer = "            SetParameter('method', 'rotations'), SetParameter('robot_name', 'ur5'),\n"
+    file = tmp_path / "cell.launch.py"
+    include = "            IncludeLaunchDescription("
+    text = FILE.replace(include, outer + include)
+    file.write_text(text.replace("import Node, ", "import Node, SetParameter, "))
+    done = subprocess.run(
+        [sys.executable, "-c", RUN, str(file)],
+        capture_output=True, text=True, timeout=300, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    lines = [json.loads(line) for line in done.stdout.splitlines() if line.startswith('["')]
+    nodes = {name: given for name, given, _ in lines}  # RUN reads the files only
+    assert "method" not in nodes.pop("/cell/arm")
+    for given in nodes.values():
+        assert (given["method"], given["robot_name"]) == ("rotations", "ur5")
