@@ -18,9 +18,10 @@ from plate_core.rig import to_home
 from .camera.lens import Calibration, Lens, calibrate_by_rig
 from .detection import DetectorOptions, PartView, find_discs
 from .discs import SeenDiscs, outlines
-from .errors import check_size
+from .errors import check_image, check_size
 from .overlooked import OVERLOOKED, may_be_parts, unnamed_objects
 from .plate.home import PlateLocation, locate_plate
+from .plate.light import check_complete
 from .plate.region import Region, make_region
 from .recognition import find_types_and_lamp, model_plate
 from .shapes import Background
@@ -192,9 +193,12 @@ def observe(
     Raises
     ------
     ImageError
-        If the image is not uint8, has another shape, or does not have the size of the rig's images.
+        If the image is not uint8, has another shape, does not have the size of the rig's images, or
+        is incomplete.
     """
     check_size("image: size is", image.shape[1::-1], vision.region.size_px, why=RIG_SIZE)
+    check_image(image)
+    check_complete(image, vision.region)
     if vision.catalogue is not None:
         return _observe_types(vision, vision.catalogue, tracker, image, stamp, expected)
     # The search for a shadow takes long. Therefore only the 1st, 2nd, 4th, 8th... of consecutive

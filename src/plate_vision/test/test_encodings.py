@@ -187,6 +187,34 @@ def test_files_that_are_none_are_refused(rng):
         decode_file(b"", "16UC1; compressedDepth png")
 
 
+@pytest.mark.parametrize("encoding", ["mono16", "bgr16", "bayer_rggb16", "16UC1"])
+@pytest.mark.parametrize("shift", [0, 4])
+def test_a_wrong_byte_order_is_refused(draw, rng, encoding, shift):
+    """Some drivers always set is_bigendian to 0, or to 1."""
+    grey = draw(rng.uniform([60, 130], [580, 350], (20, 2)), ["black"] * 20, rng)
+    wide = (grey.astype(np.uint16) << 8) + rng.integers(0, 256, grey.shape, np.uint16) >> shift
+    if encoding == "bayer_rggb16":
+        wide[::2, ::2] //= 2
+    wide = np.dstack([wide] * 3) if encoding == "bgr16" else wide
+    step = wide.strides[0]
+    for order, big in (("<u2", False), (">u2", True)):
+        data = wide.astype(order).tobytes()
+        assert decode(data, (640, 480), encoding, step, big, 16 - shift).shape[:2] == (480, 640)
+        right = f"is_bigendian is {1 - big:d}, but .*allowed: is_bigendian {big:d}"
+        with pytest.raises(ImageError, match=right):
+            decode(data, (640, 480), encoding, step, not big, 16 - shift)
+    for other in (0 * wide, rng.integers(0, 2**16, wide.shape, np.uint16)):  # black, and noise
+        for big in (False, True):
+            decode(other.tobytes(), (640, 480), encoding, step, big)
+
+
+def test_pictures_of_other_numbers_are_refused(rng):
+    picture = rng.uniform(0, 1, (HEIGHT, WIDTH)).astype(np.float32)
+    content = cv2.imencode(".tiff", picture)[1].tobytes()
+    with pytest.raises(ImageError, match="values are float32, allowed: 8 or 16 bits"):
+        decode_file(content, "tiff")
+
+
 @pytest.mark.parametrize(
     ("content", "name"),
     [

@@ -1,11 +1,13 @@
 """The bare plate's brightness, where parts hide it, against the brightness that was drawn."""
 
+import cv2
 import numpy as np
 import pytest
 
-from plate_vision import make_region
+from plate_vision import ImageError, make_region
 from plate_vision._kernels import bare
 from plate_vision.plate import fit_light
+from plate_vision.plate.light import check_complete
 
 X_PX, Y_PX = np.meshgrid(np.arange(40, 600, 20), np.arange(110, 380, 20))
 
@@ -44,3 +46,26 @@ def test_the_room_does_not_darken_the_plate(draw, rng):
 def test_no_light_no_plate(draw, region, rng):
     assert fit_light(draw([], [], rng, light=0.2), region, 60) is None
     assert fit_light(np.zeros((480, 640), np.uint8), region, 0) is None
+
+
+def test_images_without_their_last_rows_are_refused(draw, region, rng):
+    """A plate that lies elsewhere, also before a black ground, is not such an image."""
+    whole = draw([], [], rng)
+    x0, y0, x1, y1 = region.box
+    middle = (y0 + y1) // 2
+    for shape in (whole, np.dstack([whole] * 3)):
+        check_complete(shape, region)
+        for rest in (0, 200):  # the last transmitted row may be incomplete
+            lost = shape.copy()
+            lost[middle + 1 :] = 0
+            lost[middle, rest or 640 :] = 0
+            with pytest.raises(ImageError, match=f"the last {479 - middle} rows are black"):
+                check_complete(lost, region)
+    for ground in (0, 20):
+        for blur in (0.5, 1.0):
+            moved = np.full((480, 640), ground, np.uint8)
+            moved[: (y0 + middle) // 2, x0:x1] = 220
+            moved = cv2.GaussianBlur(moved, (0, 0), blur)
+            check_complete(moved, region)
+    check_complete(np.zeros((480, 640), np.uint8), region)  # no light: `light_problem` reports it
+    check_complete(np.full((1, 1), 9, np.uint8), make_region((1, 1)))

@@ -28,7 +28,8 @@ def test_lens_of_camera_info():
     size = (640, 480)
     for none in (camera_info(), camera_info([0.0] * 5), camera_info(model="")):
         assert not np.any(lens_of(none, size).distortion)
-    assert lens_of(CameraInfo(width=640, height=480, d=[0.1] * 5), size) is None  # not calibrated
+    for not_calibrated in (CameraInfo(width=640, height=480, d=[0.1] * 5), CameraInfo()):
+        assert lens_of(not_calibrated, size) is None
     lens = lens_of(camera_info([-0.2, 0.0, 0.0, 0.0, 0.0]), size)
     assert lens.matrix[0].tolist() == [600, 0, 320]
     assert lens.distortion[0] == -0.2

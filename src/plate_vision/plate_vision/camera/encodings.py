@@ -54,6 +54,17 @@ MAX_PIXELS = 50_000_000
 """Maximum size of an unpacked image [pixels], which is 0.15 GB in colour. The limit is needed
 because a small file can declare a much larger image."""
 
+ORDER_ROWS = 16
+"""Approximate number of rows in which the byte order of 16-bit numbers is checked."""
+
+NEIGHBOUR = 12
+"""Distance of the compared numbers in a row. It is a multiple of 2, 3 and 4, so that both belong to
+the same channel, or to the same colour of a Bayer pattern."""
+
+NOISY, SMOOTH = 0.1, 0.03
+"""Differences of numbers, relative to their range. In noise, the difference is 0.32. `NOISY` is the
+minimum of a wrong byte order, and `SMOOTH` the maximum of the right one."""
+
 PNG_DEPTH = 24
 """Position of the byte that contains the bit depth in a PNG file [bytes]."""
 
@@ -119,6 +130,7 @@ def decode(
     pixels = np.frombuffer(data, np.uint8).reshape(height, step)[:, :row]
     if size == 2:
         wide = np.ascontiguousarray(pixels).view(">u2" if big_endian else "<u2")
+        check_byte_order(wide, big_endian)
         pixels = to_8_bits(wide, bits)
     return to_colour(pixels if channels == 1 else pixels.reshape(height, width, channels), kind)
 
@@ -175,10 +187,43 @@ def decode_file(
             f"image: {header.kind} file of {len(content)} bytes is damaged or truncated, or this "
             f"OpenCV cannot decode it, allowed: an intact file ({', '.join(COMPRESSED)})"
         )
-    if pixels.dtype != np.uint8:
+    if pixels.dtype not in (np.uint8, np.uint16):
+        raise ImageError(f"image: values are {pixels.dtype}, allowed: 8 or 16 bits")
+    if pixels.dtype == np.uint16:
         pixels = to_8_bits(pixels, bits)
     kind = ENCODINGS.get(form.split(";")[0].strip(), ("", 1))[0]
     return to_colour(pixels, kind) if kind in BAYER and pixels.ndim == 2 else pixels
+
+
+def check_byte_order(wide: np.ndarray, big_endian: bool) -> None:
+    """Refuse 16-bit numbers (H, W) whose byte order is not the declared one.
+
+    With the wrong byte order, neighbouring pixels differ as much as in noise. With the right one,
+    they differ little. Both differences are divided by the range of the numbers, because the
+    factor of the numbers does not matter.
+
+    Raises
+    ------
+    ImageError
+        If the image is noise in the declared byte order, and smooth in the other one.
+    """
+    sample = wide[:: max(1, len(wide) // ORDER_ROWS)]
+    if _roughness(sample) > NOISY and _roughness(sample.byteswap()) < SMOOTH:
+        declared, right = ("1", "0") if big_endian else ("0", "1")
+        raise ImageError(
+            f"image: is_bigendian is {declared}, but the numbers have the other byte order, "
+            f"allowed: is_bigendian {right} for this image; set it in the camera's driver"
+        )
+
+
+def _roughness(wide: np.ndarray) -> float:
+    """Return the median difference of neighbours in rows, divided by the range of 90 % of the
+    numbers. The result is 0 for a constant image."""
+    low, high = np.percentile(wide, (5, 95))
+    if wide.shape[1] < NEIGHBOUR + 1 or high <= low:
+        return 0.0
+    numbers = wide.astype(np.int32)
+    return float(np.median(np.abs(numbers[:, NEIGHBOUR:] - numbers[:, :-NEIGHBOUR])) / (high - low))
 
 
 def is_wide(encoding: str) -> bool:

@@ -211,8 +211,8 @@ def _read_message(data: Mapping[str, Any], path: Path) -> Fields:
     except CalibrationError as error:
         raise CalibrationError(f"{path.name}: {error}") from None
     values = fields.array("d", (None,), -MAX_ABS, MAX_ABS).tolist()
-    matrix = region.matrix(matrix).ravel().tolist()
-    return _camera_file(path, region.size_px, matrix, values, fields.text("distortion_model"))
+    sent = region.matrix(matrix).ravel().tolist()
+    return _camera_file(path, region.size_px, sent, values, fields.text("distortion_model"))
 
 
 def _refuse_known(data: Mapping[str, Any], path: Path) -> None:

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .. import _kernels
+from ..errors import ImageError
 from .region import Region
 
 DARK_PERCENTILE = 95
@@ -25,6 +26,16 @@ BURNT_PERCENTILE = 50
 
 BURNT_GREY = 254
 """Minimum grey level of an overexposed pixel."""
+
+BLACK_GREY = 8
+"""Maximum grey level of a pixel that the camera did not transmit."""
+
+MISSING = 0.1
+"""Minimum fraction of the plate's rows that are missing in an incomplete image."""
+
+SHARP_ROWS, SHARP = 4, 0.7
+"""An image ends between two rows if the brightness of the last row is at least the fraction `SHARP`
+of the brightness `SHARP_ROWS` rows above. The last row of a blurred edge is darker."""
 
 EVERY = 8
 """Step between the rows and columns that are evaluated for the percentiles of the brightness."""
@@ -73,6 +84,38 @@ def fit_light(grey: np.ndarray, region: Region, min_grey: float) -> LitPlate | N
         return None
     light = np.concatenate([surface[:-1], samples.place])
     return LitPlate(grey, light, region.usable, float(surface[-1]))
+
+
+def check_complete(image: np.ndarray, region: Region) -> None:
+    """Refuse an image (H, W) or (H, W, 3) uint8 whose last rows are black, although the plate is
+    there.
+
+    A driver delivers such images if it loses the end of a transmitted image. The image then changes
+    from the plate to black between two rows. The edge of a plate that lies elsewhere is blurred
+    over several rows.
+
+    Raises
+    ------
+    ImageError
+        If at least the fraction `MISSING` of the plate's rows is missing.
+    """
+    x0, y0, x1, y1 = region.box
+    plate = image[:, x0:x1:EVERY] if image.ndim == 2 else image[:, x0:x1:EVERY, 1]
+    if not plate.size or plate[-1].max() > BLACK_GREY:
+        return
+    lit = np.flatnonzero(plate.max(axis=1) > BLACK_GREY)
+    last = int(lit[-1]) if len(lit) else -1
+    if last < y0 + SHARP_ROWS or y1 - 1 - last < MISSING * (y1 - y0):
+        return
+    # only the left side, because the last transmitted row can end anywhere
+    left = max(1, plate.shape[1] // 4)
+    edge, before = (np.median(plate[row, :left]) for row in (last, last - SHARP_ROWS))
+    if edge >= SHARP * before and before > BLACK_GREY:
+        raise ImageError(
+            f"image: the last {len(image) - 1 - last} rows are black, allowed: complete images; "
+            "the camera or its driver loses the end of the image: check the cable, and the "
+            "driver's messages about lost data"
+        )
 
 
 def light_problem(image: np.ndarray, min_grey: float) -> str | None:

@@ -25,8 +25,9 @@ def lens_of(msg: CameraInfo, size_px: tuple[int, int]) -> Lens | None:
         (roi.width, roi.height),
         (msg.binning_x, msg.binning_y),
     )
-    check_size("size is", region.size_px, size_px, why=region.reason)
+    # drivers of cameras that are not calibrated also publish the size 0 x 0
     if msg.k[0] == 0:
         return None
+    check_size("size is", region.size_px, size_px, why=region.reason)
     matrix = region.matrix(np.array(msg.k, dtype=float).reshape(3, 3))
     return Lens(matrix, np.array(msg.d), msg.distortion_model)
