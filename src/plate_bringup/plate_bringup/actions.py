@@ -84,6 +84,10 @@ OPTIONS: Mapping[str, Callable[[str], Any]] = {
 """Arguments of the launch files that are fields of `RunOptions`, with the functions that convert
 their texts. The texts of flags are in lower case."""
 
+REAL_TIME = ("false", "1", "1.0")
+"""Texts of the simulator's parameters `rate`, `lockstep` and `simulated_time` with which time is
+not simulated."""
+
 SIMILAR = 0.8
 """Minimum similarity of a name to a known name for the assumption that the name is misspelled
 (ratio of difflib)."""
@@ -201,26 +205,32 @@ def start(hardware: bool, file: str, context: Any) -> list[Any]:
     space = namespace_of(pushed, given.get("namespace", ""))
     names = [node.name for node in load_graph()]
     parameters = [*context.launch_configurations.get("global_params", []), *own]
-    rigs = [given["rig_file"]] if "rig_file" in given else rig_files_in(parameters, space, names)
+    found = partial(find_values, parameters, space)
+    rigs = [given["rig_file"]] if "rig_file" in given else found(names, "rig_file")
     if "scenario" in given and not rigs:
         rigs = [load_scenario(given["scenario"]).rig]
         values["rig_file"] = rigs[0]
     if space:  # if two plates run, each needs a separate simulated device
         values["link"] = RunOptions.link + "_" + space.replace("/", "_")
+    if not hardware:
+        keys = [key for key in ("rate", "lockstep", "simulated_time") if key not in given]
+        texts = [text for key in keys for text in found(["simulator"], key)]
+        values["simulated_time"] = any(text.lower() not in REAL_TIME for text in texts)
+    warnings = misspelled_arguments(hardware, context.launch_configurations, Path(file).name)
+    warnings += [text for path in own for text in unused_sections(path, space, names)]
     options = RunOptions(
         **{"transport": "serial" if hardware else "sim", "hardware": hardware} | values
     )
+    clock = []
+    follows = "true" in (text.lower() for text in found(names, "use_sim_time"))
+    if follows and not (hardware or options.is_simulated_time):
+        clock = [{"use_sim_time": False}]
+        warnings.append("use_sim_time is ignored, because the simulation runs in real time")
     topics = {"image_raw": given.get("image_topic"), "camera_info": given.get("info_topic")}
     waiting = [{"autostart": False}] if given.get("autostart") == "false" else []
     defaults = default_files(hardware, space, [node.name for node in options.nodes(load_graph())])
     actions: list[Any] = [OpaqueFunction(function=partial(_set_parameter_files, defaults))]
-    actions += [
-        LogInfo(msg=f"warning: {text}")
-        for text in (
-            *misspelled_arguments(hardware, context.launch_configurations, Path(file).name),
-            *(text for path in own for text in unused_sections(path, space, names)),
-        )
-    ]
+    actions += [LogInfo(msg=f"warning: {text}") for text in warnings]
     for rig in (rigs or [""]) if hardware else ():
         facts = unmeasured(load_rig(rig))
         actions += [LogInfo(msg=f"this rig is not fully measured. {text}") for text in facts]
@@ -232,7 +242,7 @@ def start(hardware: bool, file: str, context: Any) -> list[Any]:
             remappings=[(topic, other) for topic, other in topics.items() if other],
             output="screen",
             on_exit=None if name in views else partial(_shut_down, name, last_line),
-            **program | {"parameters": [*own, program["parameters"], *waiting]},
+            **program | {"parameters": [*own, program["parameters"], *waiting, *clock]},
         )
         actions += [_listen_to(process, last_line), process]
     if given.get("record") == "true":
@@ -331,8 +341,9 @@ def bag_name(space: str) -> list[str]:
     return ["--output", f"rosbag2_{datetime.now():%Y_%m_%d-%H_%M_%S}_{space.replace('/', '_')}"]
 
 
-def rig_files_in(parameters: Sequence[Any], space: str, names: Sequence[str]) -> list[str]:
-    """Return the different values of `rig_file` that ROS parameters set for the nodes.
+def find_values(parameters: Sequence[Any], space: str, names: Sequence[str], key: str) -> list[str]:
+    """Return the different values of one parameter that ROS parameters set for some nodes, as
+    texts.
 
     Parameters
     ----------
@@ -343,19 +354,21 @@ def rig_files_in(parameters: Sequence[Any], space: str, names: Sequence[str]) ->
         Namespace of the nodes, without slashes at its ends.
     names : sequence of str
         Names of the nodes.
+    key : str
+        Name of the parameter. Empty values are ignored.
     """
-    paths, rigs = [f"/{space}/{name}".replace("//", "/") for name in names], []
+    paths, found = [f"/{space}/{name}".replace("//", "/") for name in names], []
     for each in parameters:
         if isinstance(each, tuple):
-            rigs += [str(each[1])] if each[0] == "rig_file" else []
+            found += [str(each[1])] if each[0] == key else []
             continue
-        rigs += [
-            str(values["rig_file"])
+        found += [
+            str(values[key])
             for section, values in _read_sections(str(each))
-            if values.get("rig_file")
+            if values.get(key)
             and any(re.fullmatch(_section_pattern(section), path) for path in paths)
         ]
-    return list(dict.fromkeys(rigs))
+    return list(dict.fromkeys(found))
 
 
 def _read_sections(path: str) -> list[tuple[str, dict[Any, Any]]]:

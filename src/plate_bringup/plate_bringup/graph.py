@@ -208,6 +208,11 @@ class RunOptions:
         )
 
     @property
+    def is_simulated_time(self) -> bool:
+        """Whether the nodes use the time that the simulator publishes."""
+        return self.lockstep or self.rate != 1 or self.simulated_time
+
+    @property
     def over_link(self) -> bool:
         """Whether the driver is connected to the simulated motor controller."""
         return self.transport == "serial" and not (self.hardware or self.port)
@@ -267,7 +272,7 @@ class RunOptions:
             values["handover_s"] = SERIAL_HANDOVER_S
         if self.rig_file:
             values["rig_file"] = self.rig_file
-        if self.lockstep or self.rate != 1 or self.simulated_time:
+        if self.is_simulated_time:
             if node.on_hardware:
                 values["use_sim_time"] = True
             if node.name in NODES_WITH_TIMEOUT:

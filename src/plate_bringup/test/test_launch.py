@@ -151,6 +151,37 @@ def test_parameters_of_outer_actions_are_for_all_nodes(stand_in, tmp_path, space
     assert sections == ["/**/solver", "/**"]  # the defaults, and SetParameter
 
 
+def test_nodes_use_simulated_time_exactly_if_the_simulator_publishes_it(stand_in, tmp_path):
+    own = tmp_path / "own.yaml"
+
+    def clocks(values="{}", **given):
+        own.write_text(f"/**/simulator: {{ros__parameters: {values}}}", encoding="utf-8")
+        outer = [("use_sim_time", True)] if given.pop("outer", False) else []
+        nodes, _ = started("closed_loop", outer, params_file=str(own), **given)
+        return {
+            name: in_ros(nodes[name], tmp_path)["use_sim_time"] for name in ("detector", "driver")
+        }
+
+    real, simulated = (dict.fromkeys(("detector", "driver"), flag) for flag in (False, True))
+    for given in ({}, {"rate": "1"}, {"values": "{rate: 1.0, simulated_time: false, x: 2}"}):
+        assert clocks(**given) == clocks(outer=True, **given) == real
+    for given in ({"rate": "2"}, {"lockstep": "true"}, {"values": "{rate: 2.0}"},
+                  {"values": "{simulated_time: true}"}):  # fmt: skip
+        assert clocks(**given) == clocks(outer=True, **given) == simulated
+    assert clocks("{rate: 2.0}", rate="1") == real
+    own.write_text("/**: {ros__parameters: {use_sim_time: true}}", encoding="utf-8")
+    nodes, _ = started("closed_loop", params_file=str(own), namespace="left")
+    assert in_ros(nodes["solver"], tmp_path, "/left")["use_sim_time"] is False
+    (text,) = messages("closed_loop", params_file=str(own))
+    assert text.startswith("warning: use_sim_time is ignored, because the simulation runs in real")
+    assert messages("closed_loop", params_file=str(own), rate="2") == []
+    own.write_text("/**: {ros__parameters: {use_sim_time: false}}", encoding="utf-8")
+    assert messages("closed_loop", params_file=str(own)) == []
+    own.write_text("/**: {ros__parameters: {use_sim_time: true}}", encoding="utf-8")
+    nodes, _ = started("hardware", params_file=str(own))
+    assert in_ros(nodes["solver"], tmp_path)["use_sim_time"] is True  # a bag may be played
+
+
 def test_a_file_may_take_the_prefix_of_frames_away(stand_in, tmp_path):
     own = tmp_path / "own.yaml"
     own.write_text('/**: {ros__parameters: {frame_prefix: ""}}', encoding="utf-8")

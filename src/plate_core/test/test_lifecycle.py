@@ -14,6 +14,7 @@ rclpy = pytest.importorskip("rclpy")
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 from lifecycle_msgs.srv import ChangeState, GetState  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
+from rosgraph_msgs.msg import Clock  # noqa: E402
 from std_msgs.msg import String  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 from stepped_clock import SteppedExecutor  # noqa: E402
@@ -333,6 +334,30 @@ def test_the_clock_changes_while_the_node_is_not_active(peer):
         assert peer.echo.get_parameter("use_sim_time").value is simulated
         assert peer.echo.options.gain == 1.0
         assert peer.change("deactivate")
+
+
+def test_simulated_time_of_nobody_or_of_two_nodes_is_reported(peer):
+    other = rclpy.create_node("other")
+    try:
+        assert peer.set("use_sim_time", True).successful
+        assert peer.change("configure")
+        assert peer.change("activate")
+        peer.said(Level.WARN, "well; use_sim_time is true, but no node publishes /clock", 1)
+        peer.node.create_publisher(Clock, "/clock", DATA)
+        peer.said(Level.OK, "well", 1)
+        clock = other.create_publisher(Clock, "/clock", DATA)
+        several = "2 nodes publish /clock (other, peer), allowed: one"
+        peer.said(Level.WARN, f"well; {several}", 1)
+        assert peer.echo.second_clock() == several
+        other.destroy_publisher(clock)
+        peer.said(Level.OK, "well", 1)
+        assert peer.change("deactivate")
+        assert peer.set("use_sim_time", False).successful
+        other.create_publisher(Clock, "/clock", DATA)
+        assert peer.until(lambda: peer.echo.count_publishers("/clock") == 2)
+        assert (peer.echo.second_clock(), peer.echo.clock_problem()) == ("", "")
+    finally:
+        other.destroy_node()
 
 
 def test_nodes_are_started_in_order_and_a_refusal_has_a_reason(peer):

@@ -234,6 +234,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             now,
             lambda topic: self.count_publishers(self.resolve_topic_name(topic)),
             self.second_publisher,
+            self.second_clock,
         )
         self._health = PlannerDiagnostics(self._tasks, self._monitor, options.camera_triggered)
         self._reports.begin()

@@ -14,6 +14,7 @@ from action_msgs.msg import GoalStatus  # noqa: E402
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
 from planner_graph import APART, ERROR, IDS, NOT_READY, READY, SORT_4, SORTED, Graph, stale  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
+from rosgraph_msgs.msg import Clock  # noqa: E402
 from stepped_clock import STEP_S  # noqa: E402
 from trajectory_msgs.msg import JointTrajectory  # noqa: E402
 from visualization_msgs.msg import MarkerArray  # noqa: E402
@@ -317,6 +318,25 @@ def test_a_second_driver_is_reported_and_no_task_starts(graph):
         assert text in graph.report()[1]
     finally:
         other.destroy_node()
+    graph.until(lambda: not graph.planner._monitor.second_publishers())
+    graph.begin(0.1)
+
+
+def test_no_task_starts_by_a_clock_of_two_nodes(graph):
+    graph = graph(input_timeout_s=30.0, use_sim_time=True)
+    graph.image(0.0, APART)
+    others = [rclpy.create_node(name) for name in ("gazebo", "simulator")]
+    try:
+        for node in others:
+            node.create_publisher(Clock, graph.planner.resolve_topic_name("/clock"), DATA)
+        text = "2 nodes publish /clock (gazebo, simulator), allowed: one"
+        graph.until(lambda: graph.planner._monitor.second_publishers())
+        assert graph.refused() == (TaskStatus.NOT_READY, f"the task sort was not started: {text}")
+        graph.until(lambda: text in graph.report()[1])
+        assert graph.report()[1].count(text) == 1
+    finally:
+        for node in others:
+            node.destroy_node()
     graph.until(lambda: not graph.planner._monitor.second_publishers())
     graph.begin(0.1)
 

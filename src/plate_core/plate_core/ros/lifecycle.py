@@ -33,6 +33,9 @@ from .rclpy_workarounds import RclpyLifecycleNode, log_exceptions
 UNKNOWN_NAME = "_NODE_NAME_UNKNOWN_"
 """Name that ROS gives to a node if it has discovered only one of its topics so far."""
 
+CLOCK = "/clock"
+"""Topic of simulated time. Two publishers would make the time of all nodes jump."""
+
 WARN_S = 2.0
 """Minimum time between two warnings of the same kind [s]."""
 
@@ -213,6 +216,20 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
             return f"two nodes with the same name publish {topic} ({listed}), allowed: one"
         return ""
 
+    def second_clock(self) -> str:
+        """Return an error message if this node uses simulated time that several nodes publish.
+        Otherwise return an empty text."""
+        simulated = self.get_parameter(USE_SIM_TIME_NAME).value
+        return self.second_publisher(CLOCK) if simulated else ""
+
+    def clock_problem(self) -> str:
+        """Return the reason why this node has no valid simulated time. If there is none, or if the
+        node uses no simulated time, return an empty text."""
+        simulated = self.get_parameter(USE_SIM_TIME_NAME).value
+        if simulated and not self.count_publishers(self.resolve_topic_name(CLOCK)):
+            return f"use_sim_time is true, but no node publishes {CLOCK}"
+        return self.second_clock()
+
     def report(
         self,
         find: Callable[[float], Finding],
@@ -234,12 +251,19 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
                 return Finding(Level.ERROR, f"{state}: {self.failure}")
             return Finding(Level.WARN, state)
 
+        def finding(now: float) -> Finding:
+            found, problem = find(now), self.clock_problem()
+            if not problem or problem in found.message:
+                return found
+            level = max(found.level, Level.WARN, key=lambda each: each.rank)
+            return Finding(level, f"{found.message}; {problem}")
+
         def report_stamp() -> Time:
             return stamp() if stamp and self.active else self.get_clock().now().to_msg()
 
         return Diagnostics(
             self,
-            lambda now: find(now) if self.active else inactive_finding(),
+            lambda now: finding(now) if self.active else inactive_finding(),
             lambda: values() if self.active else {},
             lambda: hardware_id or Path(self.options.rig_file).stem or "default",
             lambda: reported() if self.active else None,

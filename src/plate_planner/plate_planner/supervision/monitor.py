@@ -21,7 +21,7 @@ STILL_S = 1.0
 that may have waited during the stall."""
 
 SINGLE = ("parts", "part_forces", "plate_cycle", "driver_status", "cycle_started", "feed_orders")
-"""Topics that may have only one publisher."""
+"""Topics that may have only one publisher. If time is simulated, the clock is another one."""
 
 MARGIN_S = 0.1
 """Additional time that the monitor waits until all parts are detected [s]. With this time, the
@@ -43,6 +43,9 @@ class InputMonitor:
         Function that returns the number of publishers of a topic.
     second_publisher : callable
         Function that returns a text if several nodes publish a topic, otherwise "".
+    second_clock : callable
+        Function that returns a text if several nodes publish the simulated time that this node
+        uses, otherwise "".
 
     Attributes
     ----------
@@ -57,10 +60,12 @@ class InputMonitor:
         now: float,
         publishers: Callable[[str], int],
         second_publisher: Callable[[str], str],
+        second_clock: Callable[[], str] = str,
     ) -> None:
         self.inputs, self._start_timeout_s = inputs, start_timeout_s
         self._standstill = Standstill(STILL_S, now)
         self._publishers, self._second_publisher = publishers, second_publisher
+        self._second_clock = second_clock
 
     def wake(self, now: float, period: float) -> Failure | None:
         """Record that the planner is running. Return a failure if the planner's process has stalled
@@ -80,8 +85,10 @@ class InputMonitor:
         return self._standstill.is_late(now)
 
     def second_publishers(self) -> str:
-        """Return a text if a topic of `SINGLE` has several publishers. Otherwise return ""."""
-        return next(filter(None, map(self._second_publisher, SINGLE)), "")
+        """Return a text if a topic of `SINGLE` or the clock has several publishers. Otherwise
+        return ""."""
+        # The clock is first, because a clock that jumps has many other effects.
+        return self._second_clock() or next(filter(None, map(self._second_publisher, SINGLE)), "")
 
     def findings(self, now: float) -> list[Finding | None]:
         """Return findings about missing inputs for the diagnostics at the time `now`."""
