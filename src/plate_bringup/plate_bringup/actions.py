@@ -221,7 +221,7 @@ def start(hardware: bool, file: str, context: Any) -> list[Any]:
     options = RunOptions(
         **{"transport": "serial" if hardware else "sim", "hardware": hardware} | values
     )
-    clock = []
+    clock: list[dict[str, bool]] = []
     follows = "true" in (text.lower() for text in found(names, "use_sim_time"))
     if follows and not (hardware or options.is_simulated_time):
         clock = [{"use_sim_time": False}]
