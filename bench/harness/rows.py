@@ -1,4 +1,5 @@
-"""JSON file with one row per run. A later call adds the missing rows."""
+"""JSON file with one row per run. A later call adds the missing rows. A call without new rows does
+not change the file."""
 
 from __future__ import annotations
 
@@ -17,7 +18,7 @@ WRITE_S = 1.0
 
 
 class Rows:
-    """Rows by seed. When the context ends, all rows are written to the file.
+    """Rows by seed. When the context ends, new rows are written to the file.
 
     Parameters
     ----------
@@ -38,16 +39,13 @@ class Rows:
 
     def __init__(self, path: Path | None, marks: Mapping[str, str | dict[str, str]]) -> None:
         self._file: OwnFile | None = None
-        self._marks, self._written = marks, 0.0
+        self._marks, self._written, self._new = marks, time.monotonic(), 0
         self.by_seed: dict[int, dict[str, Any]] = {}
         if path is not None:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = OwnFile(path)
             if path.is_file():
                 self.by_seed = {row["seed"]: row for row in self._read(path)}
-            # write once now, so that a file that cannot be written causes an error before the first
-            # run
-            self._write()
 
     def __enter__(self) -> Rows:
         return self
@@ -55,13 +53,14 @@ class Rows:
     def __exit__(
         self, kind: type | None, problem: BaseException | None, where: TracebackType | None
     ) -> None:
-        self._write()
         if self._file is not None:
-            self._file.close()
+            with self._file:
+                self._write()
 
     def add(self, row: dict[str, Any]) -> None:
         """Add the row of a run."""
         self.by_seed[row["seed"]] = {**row, **self._marks}
+        self._new += 1
         if time.monotonic() - self._written > WRITE_S:
             self._write()
 
@@ -93,7 +92,7 @@ class Rows:
         return rows
 
     def _write(self) -> None:
-        if self._file is None:
+        if self._file is None or not self._new:
             return
         rows = [self.by_seed[seed] for seed in sorted(self.by_seed)]
         self._file.write(json.dumps(rows, indent=1) + "\n")

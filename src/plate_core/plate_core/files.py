@@ -141,8 +141,8 @@ def draft(path: str | Path, what: str, keeps: bool = True) -> Iterator[BinaryIO]
 
 
 class OwnFile:
-    """File that only this process can write. The content of the file is complete at any time. The
-    object is a context manager.
+    """File that only this process can write. The content of the file is complete at any time. When
+    a new file is closed and is still empty, it is removed. The object is a context manager.
 
     Parameters
     ----------
@@ -164,8 +164,17 @@ class OwnFile:
         of_system = os.path.abspath(path).startswith(("/dev/", "/proc/"))
         self._path = Path(path)
         self._place = self._path if of_system else Path(os.path.realpath(path))
+        self._beside = self._place.with_name(f"{self._place.name}.draft")
+        self._is_new = not os.path.exists(path)
         self._held = self._open()
         self._replaced = not of_system and stat.S_ISREG(os.fstat(self._held).st_mode)
+        if self._replaced:  # test whether files can be made in the folder
+            try:
+                os.close(_create(self._beside))
+            except OSError:
+                self.close()
+                raise
+            self._beside.unlink()
 
     def __enter__(self) -> OwnFile:
         return self
@@ -181,24 +190,26 @@ class OwnFile:
         if not self._replaced:
             self._path.write_text(text, encoding="utf-8")
             return
-        beside = self._place.with_name(f"{self._place.name}.draft")
-        number = _create(beside)
+        number = _create(self._beside)
         try:
             _try_lock(number)
             os.fchmod(number, stat.S_IMODE(os.fstat(self._held).st_mode))
             with open(number, "w", encoding="utf-8", closefd=False) as file:
                 file.write(text)
-            beside.replace(self._place)
+            self._beside.replace(self._place)
         except BaseException:  # BaseException includes KeyboardInterrupt
             os.close(number)
             with contextlib.suppress(OSError):
-                beside.unlink()
+                self._beside.unlink()
             raise
         os.close(self._held)
         self._held = number
 
     def close(self) -> None:
         """Close the file, so that other processes can open it for writing."""
+        if self._is_new and self._replaced and not os.fstat(self._held).st_size:
+            with contextlib.suppress(OSError):
+                self._place.unlink()
         os.close(self._held)
 
     def _open(self) -> int:

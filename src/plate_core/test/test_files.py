@@ -126,6 +126,39 @@ def test_two_processes_do_not_write_one_file(tmp_path):
     assert [one.name for one in tmp_path.iterdir()] == ["rows.json"]
 
 
+@pytest.mark.parametrize("link", [False, True])
+def test_a_new_file_without_content_is_removed(tmp_path, link):
+    path = tmp_path / "rows.json"
+    if link:
+        path.symlink_to(tmp_path / "far.json")
+    with OwnFile(path):
+        assert path.exists()
+    assert not path.exists()
+    path.touch()
+    with OwnFile(path):
+        pass
+    assert path.exists()
+
+
+def test_a_file_that_another_process_has_filled_stays(tmp_path, monkeypatch):
+    """Between the two steps in which it is examined and opened."""
+    path = tmp_path / "rows.json"
+    path.write_text("1")
+    monkeypatch.setattr(os.path, "exists", lambda path: False)
+    OwnFile(path).close()
+    assert path.read_text() == "1"
+
+
+def test_a_folder_that_cannot_be_written_is_refused_before_the_first_write(tmp_path, monkeypatch):
+    def refuse(path):
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr("plate_core.files._create", refuse)
+    with pytest.raises(PermissionError, match=r"rows.json.draft"):
+        OwnFile(tmp_path / "rows.json")
+    assert not list(tmp_path.iterdir())
+
+
 def test_an_own_file_that_is_a_link_stays_one(tmp_path):
     (tmp_path / "far").mkdir()
     (tmp_path / "near.json").symlink_to(tmp_path / "far" / "rows.json")
