@@ -67,6 +67,9 @@ def main() -> int:
         except PlateError as error:
             print(f"error: {error}", file=sys.stderr)
             return 1
+        except KeyboardInterrupt:
+            print("stopped", file=sys.stderr)
+            return 130
     text = (ROOT if own else args.out) / "docs/results.md"
     data, results = read(folder), text.with_suffix("")
     # the measurement is valid for the current commit, because the measured code is unchanged

@@ -36,6 +36,7 @@ MAX_RUNS = 100_000
 def main() -> int:
     """Run the command line. Return its exit code."""
     args = _parse_arguments()
+    rows, code = Rows(None, {}), 2
     try:
         scenario = load_scenario(args.scenario)
         rig = load_rig(args.rig or scenario.rig)
@@ -48,26 +49,20 @@ def main() -> int:
         settings = dict(_parse_setting(text) for text in args.set)
         if args.planner:
             load_planner(args.planner, rig)
-        code = Path(args.planner).read_bytes() if args.planner else b""
+        source = Path(args.planner).read_bytes() if args.planner else b""
         setup = with_settings(Setup(scenario, own_planner=args.planner), settings)
-        marks = _result_metadata(scenario, rig, code, settings) if args.json else {}
+        marks = _result_metadata(scenario, rig, source, settings) if args.json else {}
         rows = Rows(args.json, marks)
-        there = [rows.by_seed[seed] for seed in args.seeds if seed in rows.by_seed]
+        there = sum(seed in rows.by_seed for seed in args.seeds)
         missing = [seed for seed in args.seeds if seed not in rows.by_seed]
-        work = [(replace(setup, seed=seed), rig, code) for seed in missing]
-        pool = _make_pool(args) if work else nullcontext()
-    except BrokenPipeError:
-        raise
-    except (PlateError, OSError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    print(f"{args.scenario}, Gamma = {rig.gamma:.1f}, {len(args.seeds)} runs", flush=True)
-    if there:
-        print(f"{len(there)} of these runs are already in {args.json}", flush=True)
-    for warning in planner.warnings():
-        print(f"warning: {warning}", flush=True)
-    try:
-        with rows, pool as workers:
+        work = [(replace(setup, seed=seed), rig, source) for seed in missing]
+        with rows, _make_pool(args) if work else nullcontext() as workers:
+            code = 1
+            print(f"{args.scenario}, Gamma = {rig.gamma:.1f}, {len(args.seeds)} runs", flush=True)
+            if there:
+                print(f"{there} of these runs are already in {args.json}", flush=True)
+            for warning in planner.warnings():
+                print(f"warning: {warning}", flush=True)
             for row in _run_all(workers, work):
                 rows.add({**row, "scenario": args.scenario})
                 print(_row_text(row), flush=True)
@@ -75,11 +70,14 @@ def main() -> int:
         raise
     except (PlateError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
-        return 1
+        return code
     except KeyboardInterrupt:
         done = sum(seed in rows.by_seed for seed in args.seeds)
-        kept = f" {args.json} contains them; the same command does the rest." if args.json else ""
-        print(f"stopped after {done} of {len(args.seeds)} runs.{kept}", file=sys.stderr)
+        kept = f" {args.json} contains them; the same command does the rest."
+        print(
+            f"stopped after {done} of {len(args.seeds)} runs.{kept if args.json and done else ''}",
+            file=sys.stderr,
+        )
         return 130
     print(_summary_text([rows.by_seed[seed] for seed in args.seeds]))
     return 0

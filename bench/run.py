@@ -43,6 +43,9 @@ def main() -> int:
     except PlateError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
+    except KeyboardInterrupt:
+        print("stopped", file=sys.stderr)
+        return 130
     for name in (name for name in names if name not in failed):
         data = json.loads((args.out / f"{name}.json").read_text(encoding="utf-8"))
         print(f"\n== {name}: {data['about']}")

@@ -413,29 +413,29 @@ def main() -> int:
             print("\n".join(wrong) or "the repeated seeds give the same result")
             return bool(wrong)
 
+        agent, world = args.agent or "B", args.world or "nominal"
         # The result file is opened before the runs. If the file cannot be written, the error
         # appears now and not after hours.
-        file = OwnFile(args.json) if args.json else None
-        done = None
-        if args.json and args.json.is_file() and args.json.stat().st_size:
-            done = read(args.json)
+        with OwnFile(args.json) if args.json else nullcontext() as file:
+            done = None
+            if args.json and args.json.is_file() and args.json.stat().st_size:
+                done = read(args.json)
 
-        def keep(result: dict[str, Any]) -> None:
-            if file is not None:
-                file.write(json.dumps(result, indent=1) + "\n")
+            def keep(result: dict[str, Any]) -> None:
+                if file is not None:
+                    file.write(json.dumps(result, indent=1) + "\n")
 
-        agent, world = args.agent or "B", args.world or "nominal"
-        # check the arguments before the program waits for the cluster
-        begun(agent, world, limits, done)
-        pool: Any = nullcontext()
-        if args.cluster:
-            other = module_of(agent) if ":" in agent else ""
-            pool = Cluster(args.cluster, modules=("plate_gym",), agent=other, end=isolation.stop)
-        with file or nullcontext(), pool as shared:
-            evaluate(
-                agent, args.task or list(TASKS), args.seeds or range(100), world, args.workers,
-                report, keep, limits, shared, done,
-            )  # fmt: skip
+            # check the arguments before the program waits for the cluster
+            begun(agent, world, limits, done)
+            pool: Any = nullcontext()
+            if args.cluster:
+                other = module_of(agent) if ":" in agent else ""
+                pool = Cluster(args.cluster, modules=("plate_gym",), agent=other)
+            with pool as shared:
+                evaluate(
+                    agent, args.task or list(TASKS), args.seeds or range(100), world, args.workers,
+                    report, keep, limits, shared, done,
+                )  # fmt: skip
     except BrokenPipeError:
         raise
     except (PlateError, OSError) as error:
@@ -443,7 +443,7 @@ def main() -> int:
         print(f"error: {printable(str(error))}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        kept = f"; {args.json} has the episodes so far" if args.json else ""
+        kept = f"; {args.json} has the episodes so far" if args.json and args.json.is_file() else ""
         print(f"stopped{kept}", file=sys.stderr)
         return 130
     return 0
