@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import hashlib
 import json
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -23,16 +24,20 @@ class Cache:
     Parameters
     ----------
     path : Path
-        File with lines of JSON: `code`, `key` and `value`.
+        File with lines of JSON: `code`, `key` and `value`. A line that was not written completely
+        is ignored.
     code : str
         Digest of the code of the results. Results with a different digest in the file are ignored.
     """
 
     def __init__(self, path: Path, code: str) -> None:
         self._path, self._code = path, code
-        lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
-        found = [json.loads(line) for line in lines]
-        self._values = {line["key"]: line["value"] for line in found if line["code"] == code}
+        self._values: dict[str, Any] = {}
+        for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else []:
+            with suppress(json.JSONDecodeError):
+                found = json.loads(line)
+                if found["code"] == code:
+                    self._values[found["key"]] = found["value"]
 
     @classmethod
     def of(cls, module: str) -> Cache:
@@ -49,7 +54,8 @@ class Cache:
         self._values[key] = value
         self._path.parent.mkdir(parents=True, exist_ok=True)
         with self._path.open("a", encoding="utf-8") as file:
-            file.write(json.dumps({"code": self._code, "key": key, "value": value}) + "\n")
+            # the line before can be incomplete, for example after the disk was full
+            file.write("\n" + json.dumps({"code": self._code, "key": key, "value": value}) + "\n")
 
 
 @lru_cache

@@ -11,6 +11,8 @@ from contextlib import contextmanager, nullcontext
 from multiprocessing import get_context
 from typing import Any
 
+from graph.forks import end_with_parent
+
 from harness.cache import Cache
 from plate_bringup.cluster import Cluster
 
@@ -26,8 +28,10 @@ def cluster_option(parser: argparse.ArgumentParser) -> None:
 
 
 def executor(workers: int | None = None) -> Executor:
-    """Return an executor of new processes on this computer. Default: one process for each core."""
-    return ProcessPoolExecutor(workers or os.cpu_count(), mp_context=get_context("spawn"))
+    """Return an executor of new processes on this computer. Default: one process for each core. The
+    processes also end if this process is killed."""
+    count, context = workers or os.cpu_count(), get_context("spawn")
+    return ProcessPoolExecutor(count, context, initializer=end_with_parent)
 
 
 @contextmanager
