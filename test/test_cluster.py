@@ -8,6 +8,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from concurrent.futures import as_completed, wait
 from itertools import islice
@@ -25,11 +26,15 @@ from plate_core import PlateError
 pytestmark = pytest.mark.needs("distributed")
 
 BENCH = Path(__file__).resolve().parents[1] / "bench"
+PAGE = BENCH.parent / "docs/guide/library.md"
 WAIT_S = 100.0
 """Maximum time of each wait [s]."""
 
 PROCESS = "(__import__('time').sleep({s}), __import__('os').getpid(), {k})"
 """A run: it takes `s` seconds and returns its process and its number."""
+
+ENDLESS = "(open({!r}, 'w').close(), sum(0 for _ in iter(int, 1)))"
+"""A run that makes a file and does not end."""
 
 TIMINGS = {
     "solve_ms_median", "solve_ms_p99", "step_ms_median", "step_ms_p99", "late_cycles", "load",
@@ -80,27 +85,58 @@ def until(true):
         time.sleep(0.05)
 
 
+@contextlib.contextmanager
+def started(folder):
+    """A new scheduler."""
+    processes = Processes(folder)
+    try:
+        processes.scheduler()
+        yield processes
+    finally:
+        processes.end()
+
+
 @pytest.fixture
 def processes(tmp_path):
-    started = Processes(tmp_path)
-    try:
-        started.scheduler()
-        yield started
-    finally:
-        started.end()
+    with started(tmp_path) as processes:
+        yield processes
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    """The folder of the modules of the workers of `both`."""
+    return tmp_path_factory.mktemp("modules")
+
+
+@pytest.fixture(scope="module", name="shared")
+def _shared(tmp_path_factory, place):
+    """A scheduler with two equal workers, and one with the variables that the page says. All tests
+    share them that kill none. A worker has two threads, so that it can run for two clusters."""
+    (line,) = re.findall(r"^ +(export .+)", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
+    said = subprocess.run(["bash", "-c", f"{line}; env -0"], capture_output=True, check=True).stdout
+    alike = dict(one.split("=", 1) for one in said.decode().rstrip("\0").split("\0"))
+    alike["PYTHONPATH"] = os.pathsep.join([str(place), os.environ.get("PYTHONPATH", "")])
+    with started(tmp_path_factory.mktemp("shared")) as processes:
+        processes.workers = [processes.worker("--nthreads", "2") for _ in range(2)]
+        processes.alike = processes.worker("--nthreads", "2", **alike)
+        yield processes
+
+
+@pytest.fixture(name="pool")
+def _pool(shared, messages):
+    """A cluster of two workers."""
+    with Cluster(shared.address, report=messages.append) as pool:
+        yield pool
+
+
+@pytest.fixture(autouse=True)
+def _often(monkeypatch):
+    monkeypatch.setattr(cluster, "POLL_S", 0.05)
 
 
 @pytest.fixture(name="messages")
 def _told():
     return []
-
-
-@pytest.fixture
-def pool(processes, messages):
-    """A cluster of two workers."""
-    processes.workers = [processes.worker(), processes.worker()]
-    with Cluster(processes.address, report=messages.append) as pool:
-        yield pool
 
 
 def submitted(pool, count, s=0.2):
@@ -111,161 +147,141 @@ def numbers(runs):
     return [run.result(WAIT_S)[2] for run in runs]
 
 
-def test_no_run_is_lost_with_a_killed_worker(processes, pool, tmp_path):
-    """Nor is one repeated whose result was here."""
+def processes_of(pool):
+    """Process ids of the workers of a cluster."""
+    return {run.result(WAIT_S)[1] for run in submitted(pool, 8)}
+
+
+def endless(pool, folder, count):
+    """Submit runs without end, and wait until each of the two workers runs one."""
+    files = [folder / f"begun{k}" for k in range(count)]
+    for file in files:
+        file.unlink(missing_ok=True)
+    runs = [pool.submit(eval, ENDLESS.format(str(file))) for file in files]
+    until(lambda: all(file.exists() for file in files[:2]))
+    return runs, files
+
+
+def test_no_run_is_lost_with_killed_workers(processes, tmp_path):
+    """Nor is one repeated whose result was here. A late worker takes over from all."""
+    workers = [processes.worker(), processes.worker()]
     run = "(open({file!r}, 'a').write('{k} '), " + PROCESS + ")[1]"
     file = str(tmp_path / "begun")
-    runs = [pool.submit(eval, run.format(file=file, s=0.2, k=k)) for k in range(20)]
-    for first in islice(as_completed(runs, WAIT_S), 6):
-        killed = first.result()[1]
-    here = [k for k, run in enumerate(runs) if run.done()]
-    os.kill(killed, signal.SIGKILL)
-    assert numbers(runs) == list(range(20))
-    assert {run.result()[1] for run in runs} <= {worker.pid for worker in processes.workers}
+    with Cluster(processes.address) as pool:
+        runs = [pool.submit(eval, run.format(file=file, s=0.2, k=k)) for k in range(20)]
+        for first in islice(as_completed(runs, WAIT_S), 6):
+            killed = first.result()[1]
+        here = [k for k, run in enumerate(runs) if run.done()]
+        os.kill(killed, signal.SIGKILL)
+        for _ in islice(as_completed(runs, WAIT_S), 9):
+            pass
+        for worker in workers:
+            worker.kill()
+        late = processes.worker()
+        assert numbers(runs) == list(range(20))
+    ran = {run.result()[1] for run in runs}
+    assert late.pid in ran <= {worker.pid for worker in [*workers, late]}
     begun = [int(k) for k in Path(file).read_text().split()]
     assert set(begun) == set(range(20))
     assert [begun.count(k) for k in here] == [1] * len(here)
 
 
-def test_a_late_worker_takes_over_from_all_that_have_died(processes, pool):
-    runs = submitted(pool, 10)
-    next(as_completed(runs, WAIT_S))
-    for worker in processes.workers:
-        worker.kill()
-    late = processes.worker()
-    assert numbers(runs) == list(range(10))
-    assert late.pid in {run.result()[1] for run in runs}
-
-
-def changed_worker(processes, folder, code):
-    """Start a worker that executes `code` first."""
-    (folder / "change.py").write_text(code, encoding="utf-8")
-    return processes.worker("--preload", str(folder / "change.py"))
-
-
-SLOW_ADMISSION = """
+ADMISSION = """
 import asyncio
-from distributed import Worker
-
-async def slow(worker, fast=Worker.set_resources, **resources):
-    await asyncio.sleep(0.25)
-    await fast(worker, **resources)
-
-Worker.set_resources = slow
-"""
-
-
-def test_waiting_runs_reach_a_worker_that_is_admitted_slowly(processes, tmp_path):
-    """Dask's memory monitor checks the status of the worker several times during the admission."""
-    with Cluster(processes.address) as pool:
-        runs = submitted(pool, 3)
-        changed_worker(processes, tmp_path, SLOW_ADMISSION)
-        assert numbers(runs) == list(range(3))
-
-
-LOST_ADMISSION = """
 from distributed import Worker
 
 calls = []
 
-async def lost_once(worker, real=Worker.set_resources, **resources):
+async def admit(worker, real=Worker.set_resources, **resources):
     calls.append(resources)
     if len(calls) > 1:
+        await asyncio.sleep(0.25)
         return await real(worker, **resources)
     worker.state.available_resources.update(resources)  # Dask also changes these first
     worker.state.total_resources.update(resources)
     raise OSError("the connection is lost")
 
-Worker.set_resources = lost_once
+Worker.set_resources = admit
 """
 
 
-def test_a_worker_is_admitted_again_if_the_scheduler_did_not_receive_it(processes, tmp_path):
+def test_waiting_runs_reach_a_worker_whose_admission_fails_first_and_then_is_slow(
+    processes, tmp_path
+):
+    """At first, the scheduler does not receive the admission. During the second admission, Dask's
+    memory monitor checks the status of the worker several times."""
+    (tmp_path / "change.py").write_text(ADMISSION, encoding="utf-8")
     with Cluster(processes.address) as pool:
         runs = submitted(pool, 3)
-        changed_worker(processes, tmp_path, LOST_ADMISSION)
-        assert [run.result(20.0)[2] for run in runs] == list(range(3))
+        processes.worker("--preload", str(tmp_path / "change.py"))
+        assert numbers(runs) == list(range(3))
 
 
-def test_no_run_is_lost_with_a_scheduler_that_restarts(processes, pool):
-    runs = submitted(pool, 20)
-    next(as_completed(runs, WAIT_S))
-    processes.processes[0].kill()
-    processes.processes[0].wait(WAIT_S)
-    for worker in processes.workers:
+def test_no_run_is_lost_with_a_scheduler_that_restarts(processes):
+    worker = processes.worker()
+    with Cluster(processes.address) as pool:
+        runs = submitted(pool, 20)
+        next(as_completed(runs, WAIT_S))
+        processes.processes[0].kill()
+        processes.processes[0].wait(WAIT_S)
         worker.kill()
-    processes.scheduler()
-    processes.worker()
-    assert numbers(runs) == list(range(20))
+        processes.scheduler()
+        processes.worker()
+        assert numbers(runs) == list(range(20))
 
 
-def test_a_worker_with_other_results_is_refused_by_name(processes, pool, messages):
-    other = processes.worker(OPENBLAS_CORETYPE="Prescott")
+def test_a_worker_with_other_results_is_refused_by_name(shared, pool, messages):
     until(lambda: any("is refused" in line for line in messages))
     (line,) = (line for line in messages if "is refused" in line)
     assert "tcp://127.0.0.1:" in line
-    assert "OPENBLAS_CORETYPE is 'Prescott', allowed: ''" in line
-    found = {run.result(WAIT_S)[1] for run in submitted(pool, 10)}
-    assert found
-    assert other.pid not in found
+    assert "OPENBLAS_CORETYPE is 'Haswell', allowed: ''" in line
+    assert processes_of(pool) == {worker.pid for worker in shared.workers}
 
 
-def test_workers_without_the_packages_are_refused(processes, messages):
-    processes.worker(PYTHONPATH="")
-    with contextlib.ExitStack() as stack:
-        while "is refused" not in "".join(messages):  # until it has joined
-            try:
-                stack.enter_context(Cluster(processes.address, report=messages.append))
-            except PlateError as problem:
-                assert "all 1 workers are refused" in str(problem)  # noqa: PT017
-            stack.close()
-    assert any("No module named 'plate_bringup'" in line for line in messages)
+def test_workers_without_a_module_are_refused(shared, messages, tmp_path, monkeypatch):
+    (tmp_path / "only_here.py").touch()
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(PlateError, match="all 3 workers are refused"):
+        Cluster(shared.address, agent="only_here", report=messages.append)
+    assert sum("file only_here.py is None" in line for line in messages) == 3
 
 
-def test_what_is_canceled_ends_on_the_workers(pool, processes, messages):
-    run = "(open({!r}, 'w').close(), sum(0 for _ in iter(int, 1)))"
-    begun = [processes.folder / f"begun{k}" for k in range(2)]
-    endless = [pool.submit(eval, run.format(str(file))) for file in begun]
-    until(lambda: all(file.exists() for file in begun))
+def test_a_worker_without_the_packages_is_refused(shared, pool, messages):
+    worker = shared.worker(PYTHONPATH="")
+    until(lambda: any("No module named 'plate_bringup'" in line for line in messages))
+    worker.kill()
+
+
+def test_what_is_canceled_ends_on_the_workers(shared, pool, tmp_path):
+    both = {worker.pid for worker in shared.workers}
+    runs, files = endless(pool, tmp_path, 3)
+    for run in runs:
+        run.cancel()
+    assert processes_of(pool) == both
+    assert not files[2].exists()
+    runs, files = endless(pool, tmp_path, 3)
     pool.shutdown()
-    assert not wait(endless, WAIT_S).not_done
-    assert all(run.cancelled() for run in endless)
-    with Cluster(processes.address, report=messages.append) as again:
-        assert len({run.result(WAIT_S)[1] for run in submitted(again, 8)}) == 2
+    assert not wait(runs, WAIT_S).not_done
+    assert all(run.cancelled() for run in runs)
+    with Cluster(shared.address) as again:
+        assert processes_of(again) == both
+    assert not files[2].exists()
 
 
-def test_a_run_ends_on_a_worker_of_which_the_cluster_does_not_know_yet(processes, monkeypatch):
-    """Another cluster of the same code has accepted the worker."""
-    for _ in range(2):
-        processes.worker()
-    monkeypatch.setattr(cluster, "POLL_S", 1000.0)
-    run = "(open({!r}, 'w').close(), sum(0 for _ in iter(int, 1)))"
-    begun = [processes.folder / f"begun{k}" for k in range(2)]
-    with Cluster(processes.address) as unknowing:
-        monkeypatch.undo()
-        for file in begun:
-            unknowing.submit(eval, run.format(str(file)))
-        with Cluster(processes.address) as again:
-            until(lambda: all(file.exists() for file in begun))
-            unknowing.shutdown()
-            assert len({run.result(WAIT_S)[1] for run in submitted(again, 8)}) == 2
-
-
-def test_no_waiting_run_begins_after_a_stop(processes):
-    """The message that cancels a run can reach a worker after the message that stops its run."""
-    processes.worker()
-    run = "(open({!r}, 'w').close(), sum(0 for _ in iter(int, 1)))"
-    begun = [processes.folder / f"begun{k}" for k in range(3)]
-    pool = Cluster(processes.address)
-    results = [pool.submit(eval, run.format(str(file))) for file in begun]
-    until(begun[0].exists)
-    until(lambda: len(pool._sent) == 3)
-    pool._sent.clear()  # nothing is canceled on the scheduler
-    pool.shutdown()
-    assert all(result.cancelled() for result in results)
-    with Cluster(processes.address) as again:
-        assert numbers(submitted(again, 2)) == [0, 1]
-    assert [file.exists() for file in begun] == [True, False, False]
+def test_the_runs_of_a_killed_command_end_on_the_workers(shared, pool, tmp_path):
+    files = [tmp_path / f"begun{k}" for k in range(2)]
+    command = [
+        "import sys, time",
+        "from plate_bringup.cluster import Cluster",
+        "pool = Cluster(sys.argv[1])",
+        f"for file in sys.argv[2:]: pool.submit(eval, {ENDLESS!r}.format(file))",
+        "time.sleep(1000)",
+    ]
+    words = [sys.executable, "-c", "\n".join(command), shared.address, *map(str, files)]
+    with subprocess.Popen(words) as process:
+        until(lambda: all(file.exists() for file in files))
+        process.kill()
+    assert processes_of(pool) == {worker.pid for worker in shared.workers}
 
 
 def test_an_error_of_a_run_is_raised_here(pool):
@@ -273,24 +289,63 @@ def test_an_error_of_a_run_is_raised_here(pool):
         pool.submit(eval, "1 / 0").result(WAIT_S)
 
 
-@pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nowhere", "tcp://[", "udp://x:1"])
-def test_an_address_without_a_scheduler_is_refused(address):
-    with pytest.raises(PlateError, match="no Dask scheduler answers") as problem:
+@pytest.mark.parametrize(
+    ("address", "reason"),
+    [
+        ("tcp://127.0.0.1:1", "ConnectionRefusedError"), ("nowhere", "missing port"),
+        ("tcp://[", "ValueError"), ("udp://x:1", "unknown address scheme"),
+        ("tls://127.0.0.1:1", "ConnectionRefusedError"),
+    ],
+)  # fmt: skip
+def test_an_address_without_a_scheduler_is_refused(address, reason):
+    with pytest.raises(PlateError, match=f"no Dask scheduler answers .*{reason}") as problem:
         Cluster(address)
     assert repr(address) in str(problem.value)
 
 
-def test_a_server_of_another_kind_is_refused():
-    """Such as the dashboard, whose address is also printed: it does not answer in Dask's way."""
+def test_a_server_of_another_kind_is_refused(monkeypatch):
+    """It does not answer in Dask's way."""
+    monkeypatch.setattr(cluster, "CONNECT_S", 0.3)
     with socket.create_server(("127.0.0.1", 0)) as server:
         address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
-        with pytest.raises(PlateError, match="no Dask scheduler answers within 5 s"):
+        with pytest.raises(PlateError, match=r"answers \(TimeoutError: no answer within 0.3 s"):
             Cluster(address)
 
 
-def test_the_address_of_a_worker_is_refused(processes, tmp_path):
-    processes.worker()
-    log = tmp_path / f"{len(processes.processes) - 1}.log"
+def test_a_long_search_for_a_computer_is_not_awaited(monkeypatch):
+    """The search for the address of a name can take longer, and cannot be interrupted."""
+    monkeypatch.setattr(cluster, "CONNECT_S", 0.1)
+    refused = threading.Event()
+    monkeypatch.setattr(socket, "create_connection", lambda *where: refused.wait(WAIT_S))
+    with pytest.raises(PlateError, match=r"no answer within 0\.1 s"):
+        Cluster("tcp://far:8786")
+    refused.set()
+
+
+@pytest.mark.parametrize("older", ["", "[]", None])
+@pytest.mark.parametrize("program", ["closed_loop", "gym"])
+def test_a_refused_command_leaves_no_file_and_no_other_one(
+    program, older, tmp_path, monkeypatch, capsys
+):
+    if program == "closed_loop":
+        from closed_loop import main
+    else:
+        pytest.importorskip("gymnasium")
+        from plate_gym.bench import main
+
+        older = older and None
+    path = tmp_path / "rows.json"
+    if older is not None:
+        path.write_text(older)
+    words = ["--cluster", "tcp://127.0.0.1:1", "--json", str(path)]
+    monkeypatch.setattr(sys, "argv", [program, *words])
+    assert main() == 2
+    assert "ConnectionRefusedError" in capsys.readouterr().err
+    assert [file.read_text() for file in tmp_path.iterdir()] == [older] * (older is not None)
+
+
+def test_the_address_of_a_worker_is_refused(shared):
+    log = shared.folder / "1.log"
     until(lambda: "Registered to" in log.read_text(encoding="utf-8"))
     (address,) = re.findall(r"Start worker at: +(tcp://\S+)", log.read_text(encoding="utf-8"))
     with pytest.raises(PlateError, match="the address of a Worker, allowed: "):
@@ -316,71 +371,67 @@ def test_facts_differ_by_name():
     ]
 
 
-def test_a_sweep_has_the_rows_of_one_by_processes(processes, tmp_path):
-    """With a scenario and a planner that only this folder has, and one worker killed."""
+def both_rows(words, address, folder, env, rows_of, times):
+    """Run a command on this computer and on a cluster at the same time. Return the rows of both,
+    without computing times."""
+    places = {"here": ("--workers", "1"), "there": ("--cluster", address)}
+    runs = [
+        subprocess.Popen([*words, *place, "--json", f"{name}.json"], cwd=folder, env=env)
+        for name, place in places.items()
+    ]
+    assert [run.wait(2 * WAIT_S) for run in runs] == [0, 0]
+    return [
+        [
+            {key: row[key] for key in row if key not in times}
+            for row in rows_of(json.loads((folder / f"{name}.json").read_text(encoding="utf-8")))
+        ]
+        for name in places
+    ]
+
+
+def test_a_sweep_has_the_rows_of_one_by_processes(shared, tmp_path):
+    """With a scenario and a planner that only this folder has."""
     (tmp_path / "tiny.yaml").write_text(yaml.safe_dump(short_task(0.01, 20)), encoding="utf-8")
     planner = (BENCH.parent / "examples/own_planner.py").read_text(encoding="utf-8")
     (tmp_path / "mine.py").write_text(planner, encoding="utf-8")
-    workers = [processes.worker(), processes.worker()]
     words = [sys.executable, str(BENCH / "closed_loop.py"), "--scenario", "tiny.yaml"]
-    words += ["--planner", "mine.py"]
-    places = {"here": (), "there": ("--cluster", processes.address)}
-    rows = {}
-    for name, place in places.items():
-        command = [*words, "--seeds", "0:4", *place, "--json", f"{name}.json"]
-        with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True) as sweep:
-            for line in sweep.stdout:
-                if place and line.startswith("seed") and workers[0].poll() is None:
-                    workers[0].kill()
-        assert sweep.returncode == 0
-        rows[name] = json.loads((tmp_path / f"{name}.json").read_text(encoding="utf-8"))
-    assert [row["seed"] for row in rows["there"]] == list(range(4))
-    here, there = (
-        [{key: row[key] for key in row if key not in TIMINGS} for row in rows[name]]
-        for name in places
-    )
-    assert here == there
+    words += ["--planner", "mine.py", "--seeds", "0:4"]
+    rows = both_rows(words, shared.address, tmp_path, None, lambda found: found, TIMINGS)
+    assert rows[0] == rows[1]
+    assert [row["seed"] for row in rows[0]] == list(range(4))
 
 
 @pytest.mark.needs("gymnasium")
-def test_agents_are_evaluated_in_processes_of_the_workers(processes, tmp_path):
-    """An agent that reports its parent process, in the file of its seed."""
+def test_agents_are_evaluated_in_processes_of_the_workers(shared, place, tmp_path):
+    """An agent that reports its parent process, in the file of its seed. The part does not follow
+    its path, so that the episodes are short."""
     from plate_gym import bench  # only where there is gymnasium
 
     agent = """
 import os
-from plate_gym.agents import AGENTS
 
-class Mine(AGENTS["A"]):
+class Mine:
+    action, observation = "motion", "parts"
+
     def __init__(self, brief, seed):
+        self.space = brief.action_space
+        self.space.seed(seed)
         with open(f"{seed}.txt", "w") as file:
             file.write(str(os.getppid()))
-        super().__init__(brief, seed)
+
+    def act(self, observation, info):
+        return self.space.sample()
 """
-    (tmp_path / "mine.py").write_text(agent, encoding="utf-8")
-    path = os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])
-    workers = [processes.worker(**bench.ALIKE, PYTHONPATH=path) for _ in range(2)]
-    words = ["--agent", "mine:Mine", "--task", "Sort4-v1", "--seeds", "0:2", "--json", "mine.json"]
-    command = [sys.executable, "-m", "plate_gym.bench", *words]
-    there = subprocess.run(
-        [*command, "--cluster", processes.address], cwd=tmp_path, timeout=2 * WAIT_S, check=False,
-        capture_output=True, text=True,
+    (place / "mine.py").write_text(agent, encoding="utf-8")
+    env = os.environ | {"PYTHONPATH": os.pathsep.join([str(place), os.environ["PYTHONPATH"]])}
+    words = ["--agent", "mine:Mine", "--task", "Follow1-v1", "--seeds", "0:2"]
+    words = [sys.executable, "-m", "plate_gym.bench", *words]
+    rows = both_rows(
+        words, shared.address, tmp_path, env,
+        lambda found: found["tasks"]["Follow1-v1"]["rows"], bench.TIMES,
     )  # fmt: skip
-    assert there.returncode == 0, there.stderr
-    found = json.loads((tmp_path / "mine.json").read_text(encoding="utf-8"))
-    parents = {int(file.read_text()) for file in tmp_path.glob("*.txt")}
-    assert len(list(tmp_path.glob("[0-9]*.txt"))) == 2
-    assert not parents & {os.getpid(), *(worker.pid for worker in workers)}
-    (tmp_path / "mine.json").rename(tmp_path / "there.json")
-    here = subprocess.run(command, cwd=tmp_path, timeout=2 * WAIT_S, check=False)
-    assert here.returncode == 0
-    again = json.loads((tmp_path / "mine.json").read_text(encoding="utf-8"))
-    rows = [
-        [
-            {key: row[key] for key in row if key not in bench.TIMES}
-            for row in one["tasks"]["Sort4-v1"]["rows"]
-        ]
-        for one in (found, again)
-    ]
     assert rows[0] == rows[1]
     assert [row["seed"] for row in rows[0]] == [0, 1]
+    parents = {int(file.read_text()) for file in shared.folder.glob("*.txt")}
+    assert len(list(shared.folder.glob("[0-9]*.txt"))) == 2
+    assert not parents & {os.getpid(), shared.alike.pid}

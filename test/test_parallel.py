@@ -1,6 +1,10 @@
 """Parallel runs: their results, progress, and stored results."""
 
 import json
+import os
+import select
+import subprocess
+import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -65,7 +69,7 @@ def test_an_interrupted_measurement_goes_on(tmp_path):
         resumed(workers, run, work, Cache(path, "code"))
     done = started.copy()  # a run that has begun before the error is also kept
     assert done in ([0, 1, 2], [0, 1, 2, 4])
-    assert len(path.read_text().splitlines()) == len(done)
+    assert len(list(filter(None, path.read_text().splitlines()))) == len(done)
     started[:] = [None] * 5
     with ThreadPoolExecutor(1) as workers:
         rows = resumed(workers, run, work, Cache(path, "code"))
@@ -73,6 +77,34 @@ def test_an_interrupted_measurement_goes_on(tmp_path):
         assert rows == [{"value": i / 3} for i in range(5)]
         resumed(workers, run, {"0": (0,)}, Cache(path, "other code"))
         assert started[-1] == 0
+
+
+def test_a_measurement_continues_after_an_incomplete_line(tmp_path):
+    """Such as after a full disk."""
+    path = tmp_path / "runs.jsonl"
+    first = Cache(path, "code")
+    first["a"] = 1
+    first["b"] = 2
+    path.write_text(path.read_text()[:-5])
+    Cache(path, "code")["c"] = 3
+    again = Cache(path, "code")
+    assert [key in again for key in "abc"] == [True, False, True]
+    assert again["c"] == 3
+
+
+def test_processes_end_with_a_killed_parent(tmp_path):
+    code = "import os\nfrom harness import executor\nif __name__ == '__main__':\n"
+    code += (
+        "    print(executor(1).submit(os.getpid).result(), flush=True)\n    os.kill(os.getpid(), 9)"
+    )
+    (tmp_path / "program.py").write_text(code)
+    words = [sys.executable, tmp_path / "program.py"]
+    env = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    with subprocess.Popen(words, env=env, stdout=subprocess.PIPE) as program:
+        assert int(program.stdout.readline()) != program.pid
+        # the pipe closes when the process of the executor has also ended
+        assert select.select([program.stdout], [], [], 60)[0]
+        assert program.stdout.read() == b""
 
 
 def test_the_digest_is_that_of_the_sources(monkeypatch, tmp_path):
@@ -163,6 +195,18 @@ def test_rows_of_another_code_and_other_files_are_refused_and_kept(tmp_path, con
     for word in (str(path), "allowed", *words):
         assert word in str(problem.value)
     assert path.read_text() == content
+
+
+def test_without_new_rows_the_file_stays_the_same(tmp_path):
+    path = tmp_path / "rows.json"
+    content = json.dumps([{"seed": 3, **MARKS}])
+    path.write_text(content)
+    with Rows(path, MARKS):
+        pass
+    assert path.read_text() == content
+    with Rows(tmp_path / "other.json", MARKS):
+        pass
+    assert [file.name for file in tmp_path.iterdir()] == ["rows.json"]
 
 
 def test_rows_also_go_to_a_pipe(tmp_path):

@@ -11,12 +11,12 @@ import asyncio
 import ctypes
 import hashlib
 import pickle
+import socket
 import sys
 import threading
-import uuid
 import warnings
 from collections.abc import Callable, Sequence
-from concurrent.futures import Executor, Future, InvalidStateError
+from concurrent.futures import Executor, Future, InvalidStateError, wait
 from contextlib import suppress
 from functools import partial
 from typing import Any
@@ -43,7 +43,10 @@ FIRST_S = 60.0
 """Maximum wait until the first worker is accepted [s]."""
 
 STOP_S = 5.0
-"""Time limit of each step of `shutdown` [s]."""
+"""Time limit of the end of the connection in `shutdown` [s]."""
+
+WATCH_S = 0.5
+"""Interval in which a worker checks whether its run was canceled [s]."""
 
 
 class Cluster(Executor):
@@ -51,7 +54,8 @@ class Cluster(Executor):
 
     Each worker executes one run at a time. If a worker dies, other workers repeat its runs. If the
     scheduler restarts within `RETURN_S`, it receives the unfinished runs again. Workers can join at
-    any time.
+    any time. If a run is canceled or this process ends for any reason, a `_Stopped` is raised in
+    the run on its worker.
 
     Parameters
     ----------
@@ -67,11 +71,7 @@ class Cluster(Executor):
         Name of a module that is not part of the project, such as a user's agent. Each worker must
         have the same files of this module, and the same versions of the libraries that it imports.
     report : callable
-        Function that is called with lines of text: the address of the dashboard, and refused
-        workers.
-    end : callable, optional
-        Function that `shutdown` calls on each worker that executes a run, to end this run. By
-        default, `shutdown` raises an exception in the thread of the run.
+        Function that is called with lines of text, such as the reasons why workers are refused.
 
     Raises
     ------
@@ -87,9 +87,8 @@ class Cluster(Executor):
         modules: Sequence[str] = (),
         agent: str = "",
         report: Callable[[str], None] = lambda text: print(text, file=sys.stderr, flush=True),
-        end: Callable[[], object] | None = None,
     ) -> None:
-        self._address, self._report, self._end = address, report, end
+        self._address, self._report = address, report
         self._client = _connect(address)
         if bench:
             _make_bench_importable()
@@ -99,14 +98,11 @@ class Cluster(Executor):
         # unit of the resource, so it executes one run at a time.
         self._key = f"plate-{hashlib.sha256(repr(self._terms).encode()).hexdigest()[:16]}"
         self._pool = self._client.get_executor(pure=False, resources={self._key: 1})
-        self._token = uuid.uuid4().hex
         self._calls: dict[Future[Any], tuple[Any, ...]] = {}
         self._sent: dict[Future[Any], Future[Any]] = {}
         self._lost: set[Future[Any]] = set()
         self._refusals: dict[str, str] = {}
         self._ending, self._waits = threading.Event(), False
-        served = "dashboard" in self._scheduler_info()["services"]
-        report(f"cluster {address}, " + (self._client.dashboard_link if served else "no dashboard"))
         try:
             self._await_workers()
         except BaseException:
@@ -116,35 +112,25 @@ class Cluster(Executor):
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """Submit a run, as `concurrent.futures.Executor` describes. A run that has begun can also
-        be canceled. The result of such a run is discarded. The run itself continues on its worker
-        until it ends or `shutdown` ends it."""
+        be canceled."""
         result: Future[Any] = Future()
         # The run is sent as bytes. If the run were sent as objects, the scheduler would decode the
         # arguments, but it cannot import the modules of `bench`.
         from distributed.protocol.pickle import dumps
 
-        self._calls[result] = (_run_on_worker, self._token, dumps((fn, args, kwargs)))
+        self._calls[result] = (_run_on_worker, dumps((fn, args, kwargs)))
         result.add_done_callback(self._remove_run)
         self._submit_run(result)
         return result
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = True) -> None:
-        """Cancel all unfinished runs, end the runs on the workers, and disconnect."""
+        """Cancel all unfinished runs, and disconnect."""
         if self._ending.is_set():
             return
         self._ending.set()
         for result in list(self._calls):
             result.cancel()
-        stopped = threading.Thread(target=self._stop_runs, daemon=True)
-        stopped.start()
-        stopped.join(STOP_S)
         self._client.close(timeout=STOP_S)
-
-    def _stop_runs(self) -> None:
-        """End the runs on all workers. A worker can have received a run although it is not yet
-        known here that this worker is accepted."""
-        if self._client.status == "running":
-            self._client.run(_stop_run, self._token, self._end, on_error="ignore")
 
     def _submit_run(self, result: Future[Any]) -> None:
         """Send a run to the scheduler."""
@@ -285,11 +271,11 @@ def _connect(address: str) -> Any:
             f"cluster is {address!r}, but Dask is not installed: {INSTALL}"
         ) from problem
     try:
-        kind, there = asyncio.run(asyncio.wait_for(_query_server(address), CONNECT_S))
+        kind, there = _query_within_limit(address)
     except Exception as problem:
         raise PlateError(
-            f"cluster is {address!r}, where no Dask scheduler answers within {CONNECT_S:g} s "
-            f"({_error_text(problem)}), allowed: the address that `dask scheduler` prints"
+            f"cluster is {address!r}, where no Dask scheduler answers ({_error_text(problem)}), "
+            "allowed: the address that `dask scheduler` prints"
         ) from problem
     if kind != "Scheduler":
         raise PlateError(
@@ -306,6 +292,35 @@ def _connect(address: str) -> Any:
         # versions.
         warnings.simplefilter("ignore")
         return distributed.Client(address, timeout=RETURN_S, set_as_default=False)
+
+
+def _query_within_limit(address: str) -> tuple[str, str]:
+    """Return the result of `_query_server`.
+
+    Raises
+    ------
+    Exception
+        Of any type, if the server cannot be reached or does not answer within `CONNECT_S`.
+    """
+    from distributed.comm.addressing import get_address_host_port
+
+    found: Future[tuple[str, str]] = Future()
+
+    def query() -> None:
+        try:
+            # Dask tries to connect until its time limit is over. This connection fails at once if
+            # no server uses the address.
+            socket.create_connection(get_address_host_port(address), CONNECT_S).close()
+            found.set_result(asyncio.run(asyncio.wait_for(_query_server(address), CONNECT_S)))
+        except BaseException as problem:
+            found.set_exception(problem)
+
+    # The thread can outlive this function, because the search for the address of a computer by its
+    # name cannot be interrupted.
+    threading.Thread(target=query, daemon=True).start()
+    if not wait([found], CONNECT_S).done:
+        raise TimeoutError(f"no answer within {CONNECT_S:g} s")
+    return found.result()
 
 
 async def _query_server(address: str) -> tuple[str, str]:
@@ -333,49 +348,40 @@ def _error_text(problem: BaseException) -> str:
 # Functions that run on the workers
 
 
-_RUNNING: dict[str, int] = {}
-"""Identifier of the thread that executes the present run on this worker. The key is the token of
-the run's `Cluster`."""
-
-_STOPPED: set[str] = set()
-"""Tokens of the clusters that have been shut down. Their waiting runs do not start."""
-
-_LOCK = threading.Lock()
-"""Held while `_RUNNING` or `_STOPPED` changes, and while an exception is raised in a run."""
+class _Stopped(BaseException):
+    """Exception that ends a run on a worker."""
 
 
-class _Stopped(Exception):
-    """Exception that ends a run on a worker when the cluster is shut down."""
+def _run_on_worker(call: bytes) -> Any:
+    """Run a function on a worker. If Dask cancels the run, raise a `_Stopped` in it. Dask cancels a
+    run if the process that has submitted it cancels it, ends, or loses its connection."""
+    from distributed import get_worker
 
+    worker, thread = get_worker(), threading.get_ident()
+    key, ended, lock = worker.get_current_task(), threading.Event(), threading.Lock()
 
-def _run_on_worker(token: str, call: bytes) -> Any:
-    """Run a function on a worker, and register its thread so that `_stop_run` can end it."""
-    with _LOCK:
-        if token in _STOPPED:
-            raise _Stopped
-        _RUNNING[token] = threading.get_ident()
+    def is_canceled() -> bool:
+        task = worker.state.tasks.get(key)
+        return task is None or task.state == "cancelled"
+
+    def watch() -> None:
+        while not is_canceled():
+            if ended.wait(WATCH_S):
+                return
+        with lock:
+            if not ended.is_set():
+                stopped = ctypes.py_object(_Stopped)
+                ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), stopped)
+
+    threading.Thread(target=watch, daemon=True).start()
     try:
         function, args, kwargs = pickle.loads(call)
         return function(*args, **kwargs)
     finally:
-        with _LOCK:
-            # Python raises the exception of `_stop_run` after this call at the latest. It is not
-            # raised in the code of Dask.
-            _RUNNING.pop(token, None)
-
-
-def _stop_run(token: str, end: Callable[[], object] | None) -> None:
-    """End the present run of a `Cluster` on this worker, and let no waiting run of it start.
-    `shutdown` calls this function."""
-    with _LOCK:
-        _STOPPED.add(token)
-        if (thread := _RUNNING.get(token)) is None:
-            return
-        if end is None:
-            raised = ctypes.py_object(_Stopped)
-            ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), raised)
-    if end is not None:
-        end()
+        with lock:
+            # Python raises the exception of `watch` after this call at the latest. It is not raised
+            # in the code of Dask.
+            ended.set()
 
 
 async def _compare_and_admit(

@@ -1,11 +1,11 @@
 """Episodes of agents in separate processes, with limits of time and memory.
 
 The function `play` requests an episode from a supervisor. A supervisor is a process that runs
-`plate_gym.supervisor`. An idle supervisor is used again for the next episode. An agent that fails
-cannot block or end the process that calls `play`, and cannot fill the memory of this process. When
-an episode ends, all processes of the agent are ended. This module is not a security sandbox,
-because an agent can still do anything that its user is allowed to do. For example, it can send
-signals to the process that calls `play`.
+`plate_gym.supervisor`. An idle supervisor is used again for the next episode, or ends after
+`IDLE_S`. An agent that fails cannot block or end the process that calls `play`, and cannot fill the
+memory of this process. When an episode ends, all processes of the agent are ended. This module is
+not a security sandbox, because an agent can still do anything that its user is allowed to do. For
+example, it can send signals to the process that calls `play`.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import select
 import signal
 import subprocess
 import sys
+import threading
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -40,6 +41,9 @@ START_S, REPLY_TIMEOUT_S = 300.0, 60.0
 """`START_S` is the time in which a supervisor must start [s]. The time is long, because loading the
 libraries takes half a minute on a busy computer. `REPLY_TIMEOUT_S` is the maximum time between two
 lines that a supervisor sends [s]."""
+
+IDLE_S = 60.0
+"""Time after which an idle supervisor is ended [s]."""
 
 ENDING_S = 15.0
 """Time in which a supervisor must end all its processes and itself [s]."""
@@ -100,7 +104,8 @@ class Supervisor:
 
     def __init__(self) -> None:
         self._mark = secrets.token_hex(16)
-        self._begun, self.ended = False, False
+        self._begun, self.usable = False, True
+        self.timer = threading.Timer(IDLE_S, _close_idle, [self])
         # The option -P prevents files in the current folder from replacing libraries.
         self._process = subprocess.Popen(
             [sys.executable, "-P", "-m", "plate_gym.supervisor"],
@@ -110,14 +115,16 @@ class Supervisor:
 
     def call(self, request: dict[str, Any], limits: Limits) -> dict[str, Any]:
         """Send a request to the supervisor, and return its reply. If the supervisor has ended, the
-        reply contains the key `error`."""
+        reply contains the key `error`. After an error or any exception, `usable` is False."""
         assert self._process.stdin is not None
+        self.usable = False
         try:
             self._process.stdin.write(json.dumps(request).encode() + b"\n")
-            return parsed(self._reply(START_S + limits.episode_s))
+            reply = parsed(self._reply(START_S + limits.episode_s))
         except (OSError, ValueError) as problem:
-            self.ended = True
             return {"error": f"its supervisor failed: {problem}"}
+        self.usable = True
+        return reply
 
     def _reply(self, total_s: float) -> bytes:
         assert self._process.stdout is not None
@@ -229,17 +236,32 @@ def play(request: dict[str, Any], limits: Limits) -> dict[str, Any]:
     """
     try:
         supervisor = _idle.pop()
+        supervisor.timer.cancel()
     except IndexError:
         supervisor = Supervisor()
         _all.append(supervisor)
     place = {"path": sys.path, "folder": os.getcwd(), "limits": asdict(limits)}
-    reply = supervisor.call(request | place, limits)
-    if supervisor.ended:
-        supervisor.close()
-        _all.remove(supervisor)
-    else:
-        _idle.append(supervisor)
-    return reply
+    try:
+        return supervisor.call(request | place, limits)
+    finally:  # also if another thread raises an exception in this one, as a cluster does
+        if supervisor.usable:
+            _idle.append(supervisor)
+            supervisor.timer = threading.Timer(IDLE_S, _close_idle, [supervisor])
+            supervisor.timer.daemon = True
+            supervisor.timer.start()
+        else:
+            supervisor.close()
+            _all.remove(supervisor)
+
+
+def _close_idle(supervisor: Supervisor) -> None:
+    """Close a supervisor, unless it is in use."""
+    try:
+        _idle.remove(supervisor)
+    except ValueError:
+        return
+    supervisor.close()
+    _all.remove(supervisor)
 
 
 @atexit.register

@@ -1,10 +1,13 @@
 """Hostile agents: each end of an agent is named, and no process outlives its episode."""
 
+import ctypes
 import json
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
+from threading import Thread
 
 import pytest
 
@@ -238,6 +241,59 @@ def test_signs_of_life_that_an_agent_sends_end(bench, tmp_path, monkeypatch, end
     with pytest.raises(OSError, match=words):
         supervisor._reply(100 if end else 0.1)
     supervisor.close()
+
+
+SUPERVISOR = """#!/bin/sh
+echo .
+read request
+case $request in
+*endless*) echo begun > begun; while echo .; do sleep 0.1; done;;
+*) until [ -e ended ]; do echo .; sleep 0.1; done; echo '{"error": "done"}'; read end; exit 0;;
+esac
+"""
+
+
+def until(true):
+    end = time.monotonic() + 60
+    while not true():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def test_an_exception_from_another_thread_ends_one_supervisor(bench, tmp_path, monkeypatch):
+    """A cluster raises it to end a run. Another run on the same worker continues, and its
+    supervisor ends later, because it is idle."""
+    isolation = bench.isolation
+    isolation.stop()
+    program = tmp_path / "supervisor"
+    program.write_text(SUPERVISOR)
+    program.chmod(0o700)
+    monkeypatch.setattr(sys, "executable", str(program))
+    monkeypatch.setattr(isolation, "IDLE_S", 0.1)
+    monkeypatch.setattr(isolation, "ENDING_S", 0.1)
+    monkeypatch.chdir(tmp_path)
+    replies = {}
+
+    def play(name):
+        try:
+            replies[name] = isolation.play({"agent": name}, bench.LIMITS)
+        except ZeroDivisionError:
+            replies[name] = "stopped"
+
+    threads = {name: Thread(target=play, args=(name,)) for name in ("short", "endless")}
+    for thread in threads.values():
+        thread.start()
+    until(lambda: (tmp_path / "begun").exists() and len(isolation._all) == 2)
+    number = ctypes.c_ulong(threads["endless"].ident)
+    ctypes.pythonapi.PyThreadState_SetAsyncExc(number, ctypes.py_object(ZeroDivisionError))
+    threads["endless"].join()
+    (left,) = isolation._all
+    assert left._process.poll() is None
+    (tmp_path / "ended").touch()
+    threads["short"].join()
+    assert replies == {"endless": "stopped", "short": {"steps": 0, "error": "done"}}
+    assert left._process.wait(60) == 0
+    until(lambda: not isolation._all)
 
 
 def reply_of(bench, name, folder, code):
