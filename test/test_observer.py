@@ -98,3 +98,11 @@ def test_the_reason_of_a_wait_for_a_service_is_shown(observer, monkeypatch):
         observer.call(SetBool, "enable", SetBool.Request())
     assert shown
     assert shown[0].endswith("for the service enable; the driver reports: silent")
+
+
+def test_a_driver_that_has_stopped_is_not_waited_for(observer, monkeypatch):
+    """It becomes ready only after another call of enable."""
+    monkeypatch.setattr("graph.observer.READY_S", 600.0)
+    Driver(observer, STOPPED)
+    with pytest.raises(GraphError, match="has stopped the motors before the task: red"):
+        observer.await_ready()

@@ -188,3 +188,17 @@ def test_variables_of_python_that_stop_all_programs_are_named(tmp_path, name, va
     assert (done.returncode, done.stdout) == (code, "" if code else "12\n")
     assert done.stderr.startswith(f"env.sh: {name} is '") if words else not done.stderr
     assert words in done.stderr
+
+
+@pytest.mark.parametrize("name", ["setup.sh", "cli.sh"])
+def test_a_folder_for_temporary_files_with_a_space_is_not_used_for_messages(tmp_path, name):
+    script = (ROOT / "tools" / name).read_text()
+    (line,) = re.findall(r'^case "\$\{TMPDIR.*', script, re.MULTILINE)
+    for folder in (tmp_path / "temporary", tmp_path / "my files", tmp_path / "für"):
+        folder.mkdir()
+        done = subprocess.run(
+            ["bash", "-c", f'{line}; rmdir "$scratch"; printf %s "$scratch"'],
+            env=os.environ | {"TMPDIR": str(folder)}, capture_output=True, text=True, check=True,
+        )  # fmt: skip
+        usable = folder.name == "temporary" and str(tmp_path).isascii() and " " not in str(tmp_path)
+        assert Path(done.stdout).parent == (folder if usable else Path("/tmp"))

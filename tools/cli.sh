@@ -7,7 +7,8 @@ set -euo pipefail
 cd -- "$(dirname -- "${BASH_SOURCE[0]}")/.."
 SOURCES=${SOURCES:-https://github.com}
 log="$PWD/log/cli.log"
-scratch=$(mktemp -d)
+# The generators of messages read no path with spaces or other letters than ASCII.
+case "${TMPDIR:-}" in *[!A-Za-z0-9/._-]*) scratch=$(mktemp -d -p /tmp) ;; *) scratch=$(mktemp -d) ;; esac
 trap 'rm -rf "$scratch"' EXIT
 
 # Branch jazzy of each repository, and the folders of it that are installed

@@ -72,6 +72,10 @@ second."""
 READY_S = 15.0
 """Maximum wait until the driver is ready [s]. Homing of the device can take 5 s."""
 
+STOPPED_S = 1.0
+"""Time in the state STOPPED after which the driver does not become ready without a call [s]. After
+a call, the state can arrive later than the reply."""
+
 ACCEPTED_S = 5.0
 """Maximum wait until the planner accepts a task [s]. The planner can receive the driver's status
 and the images a little later than this process."""
@@ -515,11 +519,17 @@ class Observer:
         Raises
         ------
         GraphError
-            If the driver is not ready in time. The message contains its status.
+            If the driver is not ready in time, or if it has stopped the motors: then it waits for
+            a new call of enable. The message contains its status.
         """
-        end = time.monotonic() + READY_S
+        end, stopped_s = time.monotonic() + READY_S, 0.0
         while not self.until(lambda: self.record.ready, REPORT_S):
             reported = self._show_driver_wait()
+            driver = self.record.driver
+            is_stopped = driver is not None and driver.state == DriverStatus.STOPPED
+            stopped_s = stopped_s + REPORT_S if is_stopped else 0.0
+            if stopped_s > STOPPED_S:
+                raise GraphError(f"the driver has stopped the motors before the task: {reported}")
             if time.monotonic() > end:
                 raise GraphError(
                     f"the driver was not ready after {READY_S:g} s, its last report: {reported}"

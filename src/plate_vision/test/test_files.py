@@ -477,6 +477,16 @@ def tiff(picture, orientation, order="<"):
     return data + bytes(4)
 
 
+def test_a_picture_of_12_bits_is_dark_with_a_warning(tmp_path):
+    grey = np.tile(np.arange(0, 250, 10, dtype=np.uint16), (16, 1))
+    warnings = []
+    for name, factor in (("a.png", 257), ("b.png", 16), ("c.png", 0)):
+        cv2.imwrite(str(tmp_path / name), grey * np.uint16(factor))
+    assert len(list(read_pictures(tmp_path, warnings.append))) == 3
+    (text,) = warnings
+    assert text.startswith("b.png: only 12 of its 16 bits are used")
+
+
 @pytest.mark.parametrize("orientation", range(1, 9))
 @pytest.mark.parametrize("kind", [".jpg", ".png", ".webp", ".tif"])
 def test_pictures_are_never_turned(tmp_path, capsys, rng, kind, orientation):
