@@ -313,7 +313,7 @@ class Observer:
 
     def _on_report(self, msg: DiagnosticArray) -> None:
         now, stamp = time.monotonic(), nanoseconds(msg.header.stamp)
-        for report in msg_to_reports(msg):
+        for report in msg_to_reports(msg, self.node.get_namespace()):
             message = Received(now, stamp, report.message, report.level, values=report.values)
             self.record.diagnostics.setdefault(report.node, []).append(message)
 

@@ -154,14 +154,17 @@ def test_enable_waits_until_the_motors_are_ready(make, view, clock, ends):
     assert not [*graph.node.subscriptions, *graph.node.clients]
 
 
-@pytest.fixture
-def starting(make, clock):
-    """A node `solver` that publishes diagnostics, and a node `mute` that publishes none yet."""
+@pytest.fixture(params=["diagnostics", "/diagnostics"])
+def starting(make, clock, request):
+    """A node `solver` that publishes diagnostics, and a node `mute` that publishes none yet. The
+    topic can be shared with another plate."""
     solver, mute = make("solver"), make("mute")
-    publisher = solver.create_publisher(DiagnosticArray, "diagnostics", DATA)
-    mute.create_publisher(DiagnosticArray, "diagnostics", DATA)
-    status = DiagnosticStatus(level=DiagnosticStatus.WARN, name="solver", message="waiting")
-    msg = DiagnosticArray(status=[status])
+    publisher = solver.create_publisher(DiagnosticArray, request.param, DATA)
+    mute.create_publisher(DiagnosticArray, request.param, DATA)
+    name, level = solver.get_fully_qualified_name(), DiagnosticStatus.WARN
+    status = DiagnosticStatus(level=level, name=name, message="waiting")
+    other = DiagnosticStatus(level=level, name="/other/driver", message="disabled")
+    msg = DiagnosticArray(status=[status, other])
     solver.create_timer(0.1, lambda: publisher.publish(msg), clock=clock.clock)
 
 

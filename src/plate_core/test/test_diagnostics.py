@@ -49,16 +49,24 @@ def test_reports_come_though_simulated_time_stands_still(talker, clock):
     assert {item.key: item.value for item in status.values} == {"count": "1", "share": "0.5"}
 
 
-def test_diagnostics_are_read_also_those_of_others():
-    ours = DiagnosticStatus(name="/left/driver", level=DiagnosticStatus.STALE, message="?")
+@pytest.mark.parametrize("namespace", ["/left", "/cell/left", "/"])
+def test_diagnostics_are_read_also_those_of_others_but_not_of_other_plates(namespace):
+    """Several plates can share the topic."""
+    own = f"{namespace}/driver".replace("//", "/")
+    names = ["/driver", "/left/driver", "/cell/left/driver", "/cell/driver", "/left/cell/driver"]
+    both = [DiagnosticStatus(name=each, level=DiagnosticStatus.WARN) for each in names]
+    reports = [*msg_to_reports(DiagnosticArray(status=both), namespace)]
+    assert reports == [("driver", Level.WARN, "", {}, True)]
+    assert own in names
+    ours = DiagnosticStatus(name=own, level=DiagnosticStatus.STALE, message="?")
     ours.values = [KeyValue(key="cycles", value="3")]
     theirs = DiagnosticStatus(
         name="camera: frame rate", level=DiagnosticStatus.WARN, message="slow"
     )
     strange = DiagnosticStatus(name="lidar", level=b"\x09", message="?")
-    assert list(msg_to_reports(DiagnosticArray(status=[ours, strange, theirs]))) == [
-        ("driver", Level.STALE, "?", {"cycles": "3"}),
-        ("camera", Level.WARN, "slow", {}),
+    assert list(msg_to_reports(DiagnosticArray(status=[ours, strange, theirs]), namespace)) == [
+        ("driver", Level.STALE, "?", {"cycles": "3"}, True),
+        ("camera: frame rate", Level.WARN, "slow", {}, False),
     ]
 
 

@@ -446,10 +446,11 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
 
     def _on_diagnostics(self, msg: DiagnosticArray) -> None:
         now = self._record_activity()
-        for report in msg_to_reports(msg):
-            self._monitor.inputs = self._monitor.inputs.report_received(
-                now, report.node, report.level, report.message
-            )
+        for report in msg_to_reports(msg, self.get_namespace()):
+            if report.own:
+                self._monitor.inputs = self._monitor.inputs.report_received(
+                    now, report.node, report.level, report.message
+                )
 
     def _on_watch_timer(self) -> None:
         now = self._record_activity()

@@ -205,6 +205,7 @@ class Graph:
         rclpy.try_shutdown()
 
 
-def stale(name, message):
-    status = DiagnosticStatus(level=DiagnosticStatus.STALE, name=f"/a/{name}", message=message)
+def stale(name, message, namespace="/planner_test/"):
+    name = f"{namespace}{name}"
+    status = DiagnosticStatus(level=DiagnosticStatus.STALE, name=name, message=message)
     return DiagnosticArray(status=[status])

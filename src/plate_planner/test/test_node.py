@@ -231,7 +231,8 @@ def test_a_stop_when_no_task_runs_is_reported(graph):
 
 def test_missing_parts_are_explained_by_the_detectors_message(graph):
     graph = graph(input_timeout_s=0.3)
-    said = DiagnosticStatus(name="/a/detector", message="no image yet; check that the camera runs")
+    name, message = "/planner_test/detector", "no image yet; check that the camera runs"
+    said = DiagnosticStatus(name=name, message=message)
     graph.others.publish(DiagnosticArray(status=[said]))
     graph.until(lambda: "detector" in graph.planner._monitor.inputs.reports)
     text = "idle; no parts yet; the detector runs and reports: " + said.message
@@ -447,6 +448,17 @@ def test_an_error_of_the_detector_ends_the_task_if_it_lasts(silenced, lasts):
     else:
         silenced.feed(lambda: next(images) > 60, report)
         assert silenced.states[-1] == "running"
+
+
+@pytest.mark.parametrize("namespace", ["/left/", "/", "/planner_test/deep/", "planner_test/", ""])
+def test_diagnostics_of_other_plates_and_packages_do_not_end_the_task(silenced, namespace):
+    """All of them can share one topic."""
+    other = stale("driver", "no message", namespace)
+    other.status[0].level = DiagnosticStatus.ERROR
+    images = itertools.count()
+    silenced.feed(lambda: next(images) > 60, lambda: silenced.others.publish(other))
+    assert silenced.states[-1] == "running"
+    assert "driver" not in silenced.planner._monitor.inputs.reports
 
 
 def test_a_feed_goes_on_without_orders_but_not_without_a_feeder_that_gave_some(graph):

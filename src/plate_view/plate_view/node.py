@@ -105,12 +105,14 @@ class PageNode(SafeLifecycleNode[Options]):
         """Start serving the page."""
         if self.options.bag:
             kinds = {name.removeprefix("/"): topic.kind for name, topic in TOPICS.items()}
-            self._replay = Replay(self.options.bag, kinds, self._forward_message)
+            own = self.get_namespace()
+            self._replay = Replay(self.options.bag, kinds, self._forward_message, own)
         port = self.options.port
         self._server = PageServer(
             self._access, port, self._make_hello(), self._queue_command, self._request_adaptation
         )
-        self._listener = Listener(self, self._rig, self._view, self._server)
+        namespace = self.get_namespace() if self._replay is None else self._replay.namespace
+        self._listener = Listener(self, self._rig, self._view, self._server, namespace)
         self._operator.begin(self._server, self._listener)
         if self._replay is not None:
             self._replay.seek(self._replay.begin)

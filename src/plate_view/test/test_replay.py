@@ -12,6 +12,7 @@ rosbag2 = pytest.importorskip("rosbags.rosbag2")
 from ament_index_python.packages import get_package_share_directory  # noqa: E402
 from rclpy.serialization import serialize_message  # noqa: E402
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # noqa: E402
+from std_msgs.msg import String  # noqa: E402
 
 from plate_core import PlateError  # noqa: E402
 from plate_core.ros import start_nodes  # noqa: E402
@@ -24,13 +25,18 @@ KINDS = {"parts": Parts, "task_status": TaskStatus}
 BEGIN_S = 1_700_000_000.0
 
 
-@pytest.fixture
-def bag(tmp_path):
-    """Five seconds: a part that moves 1 mm each 0.1 s, and a task that begins after 0.05 s."""
+def _types():
     types = get_typestore(Stores.ROS2_JAZZY)
     for path in Path(get_package_share_directory("plate_interfaces")).glob("msg/*.msg"):
         name = f"plate_interfaces/msg/{path.stem}"
         types.register(get_types_from_msg(path.read_text(encoding="utf-8"), name))
+    return types
+
+
+@pytest.fixture
+def bag(tmp_path):
+    """Five seconds: a part that moves 1 mm each 0.1 s, and a task that begins after 0.05 s."""
+    types = _types()
     with rosbag2.Writer(tmp_path / "bag", version=9) as writer:
         lines = {
             topic: writer.add_connection(
@@ -52,6 +58,61 @@ def bag(tmp_path):
 @pytest.fixture
 def heard():
     return []
+
+
+MIXED = KINDS | {"rosout": String, "image_raw": String}
+
+
+def mixed_bag(folder, *topics):
+    """A bag with one message on each topic that contains the name of the topic. A topic of the
+    robot has another type than that of a plate."""
+    types = _types()
+    with rosbag2.Writer(folder, version=9) as writer:
+        for topic in topics:
+            kind = String if topic.startswith("/robot/") else MIXED[topic.rpartition("/")[2]]
+            msg = Parts(parts=[Part(id=topic)]) if kind is Parts else kind()
+            if kind is not Parts:
+                setattr(msg, "text" if kind is TaskStatus else "data", topic)
+            name = f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
+            line = writer.add_connection(topic, name, typestore=types)
+            writer.write(line, round(1e9 * BEGIN_S), serialize_message(msg))
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("namespace", "topics", "shown"),
+    [
+        ("/", ["/a/parts", "/rosout"], {"/a/parts", "/rosout"}),
+        ("/b", ["/a/parts", "/rosout"], {"/a/parts", "/rosout"}),
+        ("/b", ["/a/parts", "/b/parts", "/a/task_status"], {"/b/parts"}),
+        ("/", ["/parts", "/a/parts", "/a/image_raw"], {"/parts"}),
+        ("/a", ["/a/parts", "/b/parts", "/eye/image_raw"], {"/a/parts", "/eye/image_raw"}),
+        ("/a", ["/a/parts", "/a/image_raw", "/eye/image_raw"], {"/a/parts", "/a/image_raw"}),
+        ("/a", ["/a/parts", "/ear/image_raw", "/eye/image_raw"], {"/a/parts"}),
+        ("/a", ["/a/parts", "/robot/parts"], {"/a/parts"}),
+        ("/robot", ["/parts", "/robot/parts"], {"/parts"}),
+    ],
+)
+def test_of_several_plates_only_one_is_shown(tmp_path, namespace, topics, shown):
+    heard = []
+    replay = Replay(
+        mixed_bag(tmp_path / "bag", *topics), MIXED, lambda key, msg: heard.append(msg), namespace
+    )
+    heard.clear()
+    replay.seek(BEGIN_S)
+    replay.close()
+    names = {str(getattr(msg, "data", getattr(msg, "text", ""))) for msg in heard} - {""}
+    assert names | {part.id for msg in heard for part in getattr(msg, "parts", ())} == shown
+    space = next(name for name in shown if name.endswith("parts")).removesuffix("/parts")
+    assert replay.namespace == (space or "/")
+
+
+def test_a_bag_of_several_plates_needs_a_namespace(tmp_path):
+    bag = mixed_bag(tmp_path / "bag", "/a/parts", "/b/task_status")
+    with pytest.raises(
+        PlateError, match=r"several plates, allowed: .* \(/a, /b\), such as -r __ns:=/a"
+    ):
+        Replay(bag, MIXED, print, "/cell")
 
 
 @pytest.fixture

@@ -387,7 +387,7 @@ class PlateClient:
         self._current = msg_to_targets(msg)
 
     def _on_report(self, msg: DiagnosticArray) -> None:
-        for report in msg_to_reports(msg):
+        for report in msg_to_reports(msg, self.node.get_namespace()):
             refusal = report.values.get("refusal", "")
             if report.node == "planner" and refusal.startswith("targets: "):
                 self._refusal, self._refused_at = refusal, time.monotonic()

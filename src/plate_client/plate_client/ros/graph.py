@@ -222,9 +222,11 @@ class Graph(Services):
         reports: dict[str, Report] = {}
 
         def on_report(msg: DiagnosticArray) -> None:
-            reports.update((report.node, report) for report in msg_to_reports(msg))
+            found = msg_to_reports(msg, self.node.get_namespace())
+            reports.update((report.node, report) for report in found)
 
-        self.node.create_subscription(DiagnosticArray, "diagnostics", on_report, DATA)
+        for topic in self._diagnostics_topics():
+            self.node.create_subscription(DiagnosticArray, topic, on_report, DATA)
         if self._until(lambda: bool(self._seen()), DISCOVERY_S):
             self._until(lambda: False, REPORT_S)
             self._until(lambda: not self._without_reports(reports), LATE_S)
@@ -241,9 +243,18 @@ class Graph(Services):
     def _without_reports(self, reports: dict[str, Report]) -> list[str]:
         """Return the nodes that have a publisher of diagnostics but have not published yet. A node
         without diagnostics is starting or does not respond."""
-        topic = self.node.resolve_topic_name("diagnostics")
-        there = {each.node_name for each in self.node.get_publishers_info_by_topic(topic)}
+        there = {
+            each.node_name
+            for topic in self._diagnostics_topics()
+            for each in self.node.get_publishers_info_by_topic(topic)
+            if each.node_namespace == self.node.get_namespace()
+        }
         return sorted(there & set(self._seen()) - reports.keys())
+
+    def _diagnostics_topics(self) -> set[str]:
+        """Return the topics on which the nodes can publish diagnostics. Several plates can share
+        the topic /diagnostics."""
+        return {self.node.resolve_topic_name("diagnostics"), "/diagnostics"}
 
     def _on_text(self, topic: str) -> Callable[[Any], None]:
         def on_message(msg: Any) -> None:

@@ -29,26 +29,37 @@ POLL_PERIOD_S = 0.1
 
 class Report(NamedTuple):
     """Diagnostics of one node: the node's name without namespace, its level, its message, and its
-    values as text."""
+    values as text. If the status is from a node of another package, `own` is False, and `node` is
+    the name of the status."""
 
     node: str
     level: Level
     message: str
     values: dict[str, str]
+    own: bool = True
 
 
-def msg_to_reports(msg: DiagnosticArray) -> Iterator[Report]:
-    """Yield the reports in a diagnostics message.
+def msg_to_reports(msg: DiagnosticArray, namespace: str) -> Iterator[Report]:
+    """Yield the reports in a diagnostics message that concern the nodes of a namespace.
 
-    Other packages often name a status `node: component`. The name of the node is then the text
-    before the colon. A status with an unknown level is skipped.
+    This project's nodes name a status by their full name. Several plates can share one topic, so
+    statuses of nodes in other namespaces are skipped. Other packages often name a status `node:
+    component`, without a namespace. A status with an unknown level is skipped.
+
+    Parameters
+    ----------
+    msg : DiagnosticArray
+    namespace : str
+        Namespace of the node that has received the message, as `Node.get_namespace` returns it.
     """
     for status in msg.status:
         level = int.from_bytes(status.level, "little")
-        if level in set(Level):
-            node = status.name.split(":")[0].rsplit("/", 1)[-1]
+        space, _, node = status.name.rpartition("/")
+        own = status.name.startswith("/")
+        if level in set(Level) and (not own or f"{space}/" == f"{namespace.rstrip('/')}/"):
             values = {item.key: item.value for item in status.values}
-            yield Report(node, Level(level), status.message, values)
+            name = node if own else status.name
+            yield Report(name, Level(level), status.message, values, own)
 
 
 class Diagnostics:

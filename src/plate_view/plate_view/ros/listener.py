@@ -79,6 +79,8 @@ class Listener:
     rig : Rig
     view : TopView
     server : PageServer
+    namespace : str
+        Namespace of the plate, as `Node.get_namespace` returns it.
 
     Attributes
     ----------
@@ -90,7 +92,10 @@ class Listener:
         Function that is called after each task status.
     """
 
-    def __init__(self, node: Node, rig: Rig, view: TopView, server: PageServer) -> None:
+    def __init__(
+        self, node: Node, rig: Rig, view: TopView, server: PageServer, namespace: str
+    ) -> None:
+        self._namespace = namespace
         self._node, self._rig, self._view, self._server = node, rig, view, server
         self.task, self.parts = TaskStatus(), Parts()
         self.on_task: Callable[[], None] = lambda: None
@@ -181,7 +186,7 @@ class Listener:
         )  # fmt: skip
 
     def _on_diagnostics(self, msg: DiagnosticArray) -> None:
-        for report in msg_to_reports(msg):
+        for report in msg_to_reports(msg, self._namespace):
             self._reports[report.node] = time.monotonic(), report
 
     def _on_log(self, msg: Log) -> None:

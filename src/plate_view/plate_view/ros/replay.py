@@ -44,9 +44,13 @@ class Replay:
         Types of the messages of the topics that are played.
     receive : callable
         Function that is called with the topic and each message.
+    namespace : str, optional
+        Namespace of the plate to show, if the bag has several plates.
 
     Attributes
     ----------
+    namespace : str
+        Namespace of the plate that is shown.
     begin, end, now : float
         Start of the recording, end of the recording, and current position of the replay [s, time of
         the recording].
@@ -60,10 +64,13 @@ class Replay:
     Raises
     ------
     PlateError
-        If the bag cannot be read, or if it contains none of the topics.
+        If the bag cannot be read, if it contains none of the topics, or if it contains several
+        plates, and none is in `namespace`.
     """
 
-    def __init__(self, folder: str | Path, kinds: Mapping[str, type], receive: Receive) -> None:
+    def __init__(
+        self, folder: str | Path, kinds: Mapping[str, type], receive: Receive, namespace: str = "/"
+    ) -> None:
         self._kinds, self._receive = kinds, receive
         try:
             library = importlib.import_module("rosbags.rosbag2")
@@ -79,12 +86,11 @@ class Replay:
             raise PlateError(
                 f"bag is {str(folder)!r} ({error}), allowed: the folder of a recorded run"
             ) from None
-        self._chosen = [each for each in self._reader.connections if self._topic_key(each) in kinds]
-        if not any(each.msgcount for each in self._chosen):
+        try:
+            self.namespace, self._chosen = self._choose(str(folder), namespace)
+        except PlateError:
             self.close()
-            raise PlateError(
-                f"bag is {str(folder)!r}, allowed: a bag with topics of {', '.join(kinds)}"
-            )
+            raise
         self.begin, self.end = 1e-9 * self._reader.start_time, 1e-9 * self._reader.end_time
         self.now, self.playing, self.rate, self.problem = self.begin, False, 1.0, ""
         self._played_at = time.monotonic()
@@ -93,6 +99,46 @@ class Replay:
         with contextlib.suppress(PlateError):  # a damaged bag is read up to the damaged place
             self._latched.extend(self._read_messages(latched) if latched else ())
         self.seek(self.begin)
+
+    def _choose(self, folder: str, namespace: str) -> tuple[str, list[Any]]:
+        """Return the namespace of the plate to show, and the recorded topics of this plate.
+
+        A topic that this plate does not have, such as the images of another package's camera, is
+        taken from elsewhere, unless it is another plate's topic, or several topics have its name.
+
+        Raises
+        ------
+        PlateError
+            If there are no topics of a plate, or if there are several plates, and none is in
+            `namespace`.
+        """
+        found: dict[str, dict[str, list[Any]]] = {}  # connections by last name and namespace
+        for each in self._reader.connections:
+            space, _, key = str(each.topic).rpartition("/")
+            if (
+                each.msgcount
+                and key in self._kinds
+                and each.msgtype == _type_name(self._kinds[key])
+            ):
+                found.setdefault(key, {}).setdefault(space or "/", []).append(each)
+        if not found:
+            raise PlateError(
+                f"bag is {folder!r}, allowed: a bag with topics of {', '.join(self._kinds)}"
+            )
+        own = (key for key in found if _type_name(self._kinds[key]).startswith("plate_interfaces/"))
+        plates = {space for key in own for space in found[key]}
+        if len(plates) == 1:
+            (namespace,) = plates
+        elif plates and namespace not in plates:
+            raise PlateError(
+                f"bag is {folder!r} with several plates, allowed: a page in the namespace of one "
+                f"of them ({', '.join(sorted(plates))}), such as -r __ns:={min(plates)}"
+            )
+        chosen = []
+        for spaces in found.values():
+            others = [each for space, each in spaces.items() if space not in plates]
+            chosen += spaces.get(namespace) or (others[0] if len(others) == 1 else [])
+        return namespace, chosen
 
     @staticmethod
     def _topic_key(connection: Any) -> str:
@@ -187,6 +233,11 @@ class Replay:
         except Exception as error:  # rmw raises an error that has no public name
             raise _damaged_bag_error(error) from None
         self._receive(name, msg)
+
+
+def _type_name(kind: type) -> str:
+    """Return the name of a message's type, such as sensor_msgs/msg/Image."""
+    return f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
 
 
 def _damaged_bag_error(error: Exception) -> PlateError:
