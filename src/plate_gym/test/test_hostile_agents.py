@@ -16,11 +16,12 @@ from plate_core import PlateError
 pytestmark = pytest.mark.needs("gymnasium")
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def bench():
     import plate_gym.bench
 
-    return plate_gym.bench
+    yield plate_gym.bench
+    plate_gym.bench.isolation.stop()
 
 
 HOSTILE = """
@@ -150,7 +151,6 @@ def hostile(bench, tmp_path, monkeypatch):
     (tmp_path / "hostile.py").write_text(HOSTILE, encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.chdir(tmp_path)
-    bench.isolation.stop()
 
     def run(name):
         limits = bench.Limits(decision_s=10, memory_gb=1)
@@ -160,7 +160,14 @@ def hostile(bench, tmp_path, monkeypatch):
         )
         return found, messages
 
-    yield run
+    return run
+
+
+@pytest.fixture
+def printed(bench, capfd):
+    """A function that returns the output that a new supervisor has written."""
+    bench.isolation.stop()
+    yield lambda: capfd.readouterr().err
     bench.isolation.stop()
 
 
@@ -354,16 +361,16 @@ def test_no_process_of_an_agent_outlives_its_episode(hostile, tmp_path, name):
         assert "State:\tZ" in status  # ended, but not yet noticed by the process with id 1
 
 
-def test_most_of_a_long_output_is_omitted(hostile, capfd):
+def test_most_of_a_long_output_is_omitted(hostile, printed):
     with pytest.raises(PlateError, match="RuntimeError: done"):
         hostile("Prints")
-    said = capfd.readouterr().err
+    said = printed()
     assert said.count("x") < 101_000
     assert "seed 3, step 0: omitted the agent's output after 100,000 bytes\n" in said
 
 
-def test_output_cannot_be_mistaken_for_that_of_the_judge(hostile, capfd):
+def test_output_cannot_be_mistaken_for_that_of_the_judge(hostile, printed):
     with pytest.raises(PlateError, match="RuntimeError: done"):
         hostile("Escapes")
-    lines = capfd.readouterr().err.splitlines()
+    lines = printed().splitlines()
     assert lines == ["agent: A?[2JB?2JC?D E", "agent: F", "agent: G\ufffd"]
