@@ -160,11 +160,12 @@ def test_a_goal_that_is_refused_at_once_has_ended(silent):
 
 
 def program(text):
-    """Execute a program, and return its exit code and its errors."""
+    """Execute a program, and return its exit code and its errors. Python 3.12 and later warn of
+    each fork of a process with threads."""
     lines = "import os, signal, threading, time\nfrom plate_client import PlateClient\n" + text
-    done = subprocess.run(
-        [sys.executable, "-c", lines], timeout=60, capture_output=True, text=True, check=False
-    )
+    quiet = "ignore:This process:DeprecationWarning"
+    words = [sys.executable, "-W", quiet, "-c", lines]
+    done = subprocess.run(words, timeout=60, capture_output=True, text=True, check=False)
     return done.returncode, done.stderr
 
 
