@@ -114,8 +114,10 @@ def draw(track: np.ndarray, rate: np.ndarray, radius: np.ndarray, half: np.ndarr
     figure.colorbar(lines, ax=path, label="time [min]", location="bottom", shrink=0.6, aspect=40)
     angle, _ = to_polar(track)
     first = np.searchsorted(angle, 2 * np.pi - 0.3)
-    for at in [*track[:first][:: round(SHOWN * FREQUENCY)], track[-1]]:
-        path.add_patch(Circle(1e3 * at, 1e3 * COIN_RADIUS, fc="#ffffffb0", ec=INK, lw=1, zorder=3))
+    for centre in [*track[:first][:: round(SHOWN * FREQUENCY)], track[-1]]:
+        path.add_patch(
+            Circle(1e3 * centre, 1e3 * COIN_RADIUS, fc="#ffffffb0", ec=INK, lw=1, zorder=3)
+        )
     path.plot(0, 0, "+", color=INK)
     path.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]")
     path.set_title("First turn every 2 s, and the last coin")

@@ -258,8 +258,8 @@ def wave_table(
     ticks = np.round(t * 1e8).astype(int)
     states = [(fraction * STROKE_M * row).astype(np.float32) for row in rows]
     return tuple(
-        Knot(int(k), *(tuple(map(float, row)) for row in at))
-        for k, *at in zip(ticks, *states, strict=True)
+        Knot(int(k), *(tuple(map(float, row)) for row in state))
+        for k, *state in zip(ticks, *states, strict=True)
     )
 
 

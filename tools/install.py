@@ -43,8 +43,8 @@ def settings() -> dict[str, str]:
         key = name.rpartition(".")[2]
         if key in FROM_PIP:
             places = str(ast.literal_eval(value)).split()
-            there = [word for word in places if not _is_missing(word.removeprefix("file://"))]
-            found.setdefault(FROM_PIP[key], ("," if key == "find-links" else " ").join(there))
+            present = [word for word in places if not _is_missing(word.removeprefix("file://"))]
+            found.setdefault(FROM_PIP[key], ("," if key == "find-links" else " ").join(present))
     return found
 
 
@@ -59,9 +59,9 @@ def main(arguments: list[str]) -> int:
         # compile the modules now, because in this case Python does not store compiled modules
         if sys.dont_write_bytecode:
             uv.append("--compile-bytecode")
-        own = {name: value for name, value in os.environ.items() if name not in ELSEWHERE}
+        inherited = {name: value for name, value in os.environ.items() if name not in ELSEWHERE}
         for where in (["--offline"], []):
-            command, env = [*uv, *where, *arguments], {**settings(), **own}
+            command, env = [*uv, *where, *arguments], {**settings(), **inherited}
             done = subprocess.run(command, env=env, capture_output=True, text=True, check=False)
             if done.returncode == 0:
                 return 0

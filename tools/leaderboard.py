@@ -53,7 +53,7 @@ def tables(folder: Path) -> str:
         except PlateError as problem:
             raise PlateError(f"{name}: {problem}") from problem
         for task, found in result["tasks"].items():
-            seeds = sorted(own["seed"] for own in found["rows"])
+            seeds = sorted(episode["seed"] for episode in found["rows"])
             if seeds != list(range(max(len(seeds), MIN_SEEDS))):
                 raise PlateError(
                     f"{name}: {task}: seeds are {ranges(seeds)}, allowed: 0, 1, 2, ... "
@@ -61,9 +61,9 @@ def tables(folder: Path) -> str:
                 )
     text = ""
     for task in TASKS:
-        there = {name: result for name, result in results.items() if task in result["tasks"]}
+        with_task = {name: result for name, result in results.items() if task in result["tasks"]}
         rows = sorted(
-            (row(name, result, task) for name, result in there.items()),
+            (row(name, result, task) for name, result in with_task.items()),
             key=lambda one: (one[0], one[1]["agent"]),
         )
         text += f"\n## {task}\n"
@@ -78,12 +78,14 @@ def tables(folder: Path) -> str:
             for cells in listed:
                 text += f"| {' | '.join(cells[key] for key in columns)} |\n"
         failed: dict[str, list[str]] = {}
-        for name, result in sorted(there.items()):
-            if not any(own["success"] for own in result["tasks"][task]["rows"]):
+        for name, result in sorted(with_task.items()):
+            if not any(episode["success"] for episode in result["tasks"][task]["rows"]):
                 link = f"[{result['world']}](../../benchmarks/{name})"
                 failed.setdefault(result["agent"], []).append(link)
         if failed:
-            by_agent = "; ".join(f"{agent}: {', '.join(own)}" for agent, own in failed.items())
+            by_agent = "; ".join(
+                f"{agent}: {', '.join(episode)}" for agent, episode in failed.items()
+            )
             text += f"\nNo completed episode: {by_agent}.\n"
     return text
 
@@ -102,7 +104,7 @@ def row(file: str, result: dict[str, Any], task: str) -> tuple[Order, dict[str, 
     found = summary(result["tasks"][task]["rows"])
     low, high = (100 * fraction for fraction in found["success_interval"])
     fraction, took, count = found["success"], found.get("time_s", np.inf), len(found["rows"])
-    ended = [own for own in found["rows"] if "failure" not in own] or found["rows"]
+    ended = [episode for episode in found["rows"] if "failure" not in episode] or found["rows"]
     interval = f" ({low:.0f}-{high:.0f} %)"
     link = f"[{result['agent']}](../../benchmarks/{file})"
     cells = {
@@ -110,7 +112,7 @@ def row(file: str, result: dict[str, Any], task: str) -> tuple[Order, dict[str, 
         "done": f"{fraction * count:.0f}/{count}" + interval * (fraction < 1),
         "plate time [s]": f"{took:.1f}" if np.isfinite(took) else "-",
         **{
-            heading: f"{np.median([own[key] for own in ended]):.3g}"
+            heading: f"{np.median([episode[key] for episode in ended]):.3g}"
             for key, heading in ERRORS.items()
         },
         LOST: str(found["dropped"]),

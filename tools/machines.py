@@ -158,10 +158,10 @@ def run_intruder(machine: int) -> list[str]:
     command = [*namespace_command(machine), sys.executable, "-c", INTRUDER, str(ALONE_S)]
     tries = []
     for reach in ("named", "subnet"):
-        own = os.environ | reach_environment(reach, HANDS)
+        environment = os.environ | reach_environment(reach, HANDS)
         # without this profile, DDS uses its default, which searches on all networks
-        del own["FASTRTPS_DEFAULT_PROFILES_FILE"]
-        tries.append(subprocess.Popen(command, env=own, stdout=subprocess.PIPE, text=True))
+        del environment["FASTRTPS_DEFAULT_PROFILES_FILE"]
+        tries.append(subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True))
     found = [each.communicate()[0].split() for each in tries]
     if any(each.returncode for each in tries):
         raise PlateError("an intruder has ended with an error")

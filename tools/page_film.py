@@ -70,8 +70,8 @@ class Film:
         pixels = [(middle[0] + scale * x, middle[1] - scale * y) for x, y in points]
         self.page.mouse.move(*pixels[0])
         self.page.mouse.down()
-        for at in pixels[1:]:
-            self.page.mouse.move(*at, steps=8)
+        for pixel in pixels[1:]:
+            self.page.mouse.move(*pixel, steps=8)
             self.frames.append((self.now, self.page.screenshot(type="png")))
         self.page.mouse.up()
 
@@ -85,8 +85,8 @@ def record_film(film: Film) -> None:
     """Drag the parts, then draw a path and let a part follow this path. Take screenshots until
     `END_S`."""
     film.page.get_by_label("Drift").check()
-    for name, end, at in DRAGS:
-        film.until(at)
+    for name, end, start_s in DRAGS:
+        film.until(start_s)
         x, y = film.place(name)
         film.drag(
             [
@@ -94,8 +94,8 @@ def record_film(film: Film) -> None:
                 for fraction in (0, 0.3, 0.6, 1)
             ]
         )
-    name, points, at = PATH
-    film.until(at)
+    name, points, start_s = PATH
+    film.until(start_s)
     film.page.get_by_label("Draw a path").check()
     film.drag([film.place(name), *points])
     film.page.get_by_label("Speed").first.fill("40")

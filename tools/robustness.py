@@ -58,10 +58,12 @@ def main() -> int:
     given = vars(parser.parse_args())
     case, path = given.pop("case"), given.pop("json")
     run = importlib.import_module(f"cases.{case}").run
-    own = [*signature(run).parameters][1:]
+    known_options = [*signature(run).parameters][1:]
     for name in given:
-        if name not in own:
-            parser.error(f"--{name} is no option of {case}, allowed: --{', --'.join(own)}")
+        if name not in known_options:
+            parser.error(
+                f"--{name} is no option of {case}, allowed: --{', --'.join(known_options)}"
+            )
     last = Outcome(None)
     with TemporaryDirectory() as logs, signals_raise(), suppress(Interrupted):
         try:

@@ -121,8 +121,8 @@ def last_seconds(out: Path, name: str, quick: bool) -> float:
     """Return the duration of the last measurement with the same value of `quick` [s], on this
     computer or for docs/results. 0 without such a measurement."""
     published = json.loads(PUBLISHED.read_text(encoding="utf-8"))["measurements"]
-    there = (read(out, [name]) or published).get(name, {"quick": None})
-    return float(there["seconds"]) if there["quick"] == quick else 0.0
+    result = (read(out, [name]) or published).get(name, {"quick": None})
+    return float(result["seconds"]) if result["quick"] == quick else 0.0
 
 
 def minutes_text(seconds: float) -> str:
@@ -133,9 +133,9 @@ def minutes_text(seconds: float) -> str:
 def is_done(folder: Path, name: str, quick: bool) -> bool:
     """Whether a result of the current code exists. A quick result counts only if `quick` is
     True."""
-    there = read(folder, [name]).get(name)
+    result = read(folder, [name]).get(name)
     code = code_of(MEASUREMENTS[name])
-    return there is not None and there["quick"] <= quick and there.get("code") == code
+    return result is not None and result["quick"] <= quick and result.get("code") == code
 
 
 def read(folder: Path, names: Iterable[str] = tuple(MEASUREMENTS)) -> dict[str, dict[str, Any]]:

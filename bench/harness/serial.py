@@ -272,11 +272,11 @@ class PlateCheck:
     _setpoints: list[tuple[float, np.ndarray]] = field(default_factory=list)
     _travel: float = 0.0
 
-    def update(self, now: float, at: np.ndarray | None) -> None:
+    def update(self, now: float, setpoint: np.ndarray | None) -> None:
         """Record a setpoint (3, 4) at a time [s]: position, speed, acceleration. None: no
         current."""
-        if at is not None:
-            self._setpoints.append((now, at))
+        if setpoint is not None:
+            self._setpoints.append((now, setpoint))
 
     def moved(self, travel: np.ndarray) -> None:
         """Record the actual positions of the motors (4,) [m]."""
@@ -289,7 +289,9 @@ class PlateCheck:
         if not self._setpoints:
             return Verdict(travel=travel)
         times = np.array([now for now, _ in self._setpoints])
-        q, qd, qdd = np.array([at for _, at in self._setpoints], float).transpose(1, 0, 2)
+        q, qd, qdd = np.array([setpoint for _, setpoint in self._setpoints], float).transpose(
+            1, 0, 2
+        )
         # The tolerance is infinite, because the consistency of the four motors is not checked here.
         motion = plate_state(self.rig, q, qd, qdd, np.inf)
         corners = float(np.max(np.abs(corner_accels(self.rig, motion))))

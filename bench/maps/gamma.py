@@ -113,15 +113,17 @@ def measure(quick: bool) -> list[Grid]:
                 np.median(
                     [
                         simulate_force_error(rig, c.scaled(gamma), p) / requested
-                        for c, p, requested in mine
+                        for c, p, requested in of_gamma_cases
                     ]
                 )
             )
-            for mine in cases
+            for of_gamma_cases in cases
         ]
         for gamma in gammas
     ]
-    return [grid(parts, gammas, z, parts, [min_gamma(rig, mine) for mine in cases])]
+    return [
+        grid(parts, gammas, z, parts, [min_gamma(rig, of_gamma_cases) for of_gamma_cases in cases])
+    ]
 
 
 MAP = StabilityMap(

@@ -77,10 +77,10 @@ def resting_fraction(rig: Rig, force: float, gamma: float) -> float:
     b, omega = overtone(force), 2 * np.pi / PERIOD_S
     speed = gamma * rig.friction.accel / (peak(b) * omega)
     cycle = wave_cycle(1 / PERIOD_S, np.array([speed, 0.0, 0.0]), b)
-    none, friction = np.zeros((1, 2)), rig.friction
-    run = simulate(cycle, none, none, friction.mu, friction.gravity, CYCLES)
+    at_rest, friction = np.zeros((1, 2)), rig.friction
+    run = simulate(cycle, at_rest, at_rest, friction.mu, friction.gravity, CYCLES)
     last = simulate(
-        cycle, none, run.velocity[-1], friction.mu, friction.gravity, samples=SAMPLES,
+        cycle, at_rest, run.velocity[-1], friction.mu, friction.gravity, samples=SAMPLES,
         tolerance=1e-7,
     )  # fmt: skip
     slip = cycle.twist(last.time[:-1])[:, 0] - last.velocity[:-1, 0, 0]

@@ -35,14 +35,14 @@ def make_motions(rig: Rig, method: str, parts: int, count: int = REQUESTS) -> li
     rng = np.random.default_rng([SEED, parts])
     solver = METHODS[method](rig, iterations=24, restarts=1)
     period = solver.steering_period(parts)
-    none, cycles = np.zeros((parts, 2)), []
+    zero, cycles = np.zeros((parts, 2)), []
     for _ in range(count):
         position, requested = (
             random_positions(rig, parts, rng),
             DRIFT * period * rng.normal(size=(parts, 2)),
         )
         solver.reset()
-        goal = Goal(position, none, requested, none, np.full(parts, rig.friction.accel))
+        goal = Goal(position, zero, requested, zero, np.full(parts, rig.friction.accel))
         cycles.append(solver.steer(goal, 2e-4 * period, 0.05 * DRIFT * period).cycle)
     return cycles
 
@@ -102,10 +102,13 @@ def measure(quick: bool) -> list[Grid]:
     for method in METHODS:
         cycles = [make_motions(rig, method, m, 1 if quick else REQUESTS) for m in parts]
         z = [
-            [float(np.median([realised_error(rig, c, hz) for c in mine])) for mine in cycles]
+            [
+                float(np.median([realised_error(rig, c, hz) for c in of_parts]))
+                for of_parts in cycles
+            ]
             for hz in frequencies
         ]
-        line = [min_frequency(rig, mine) for mine in cycles]
+        line = [min_frequency(rig, of_parts) for of_parts in cycles]
         grids.append(grid(parts, frequencies, z, parts, line, method))
     return grids
 

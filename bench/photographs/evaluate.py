@@ -154,8 +154,8 @@ def evaluate(photographs: Iterable[Photograph]) -> tuple[list[dict[str, Any]], l
 def load_half(half: str) -> tuple[list[Photograph], int]:
     """Return the photographs of a half whose files exist, and the number of missing files."""
     selected = [p for p in load_photographs() if p.half == half]
-    there = [p for p in selected if is_there(p)]
-    return there, len(selected) - len(there)
+    present = [p for p in selected if is_there(p)]
+    return present, len(selected) - len(present)
 
 
 @piped()
@@ -168,10 +168,10 @@ def main() -> int:
         help="evaluate the photographs that were not used for tuning, and print only totals",
     )
     half = HALVES[parser.parse_args().held_out]
-    there, missing = load_half(half)
+    present, missing = load_half(half)
     if missing:
-        print(f"{missing} of {missing + len(there)} photographs are missing; first run {MISSING}")
-    rows, refused = evaluate(there)
+        print(f"{missing} of {missing + len(present)} photographs are missing; first run {MISSING}")
+    rows, refused = evaluate(present)
     print("\n".join(text_table({"title": half, "columns": COLUMNS, "rows": rows})))
     for line in refused if half == HALVES[0] else ():
         print(f"not taught: {line}")

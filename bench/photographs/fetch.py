@@ -30,13 +30,13 @@ def main() -> int:
     missing."""
     argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0]).parse_args()
     photographs = load_photographs()
-    there = 0
+    present = 0
     for photograph in photographs:
         problem = fetch_photograph(photograph)
         if problem:
             print(f"missing: {photograph.name}: {problem}", file=sys.stderr)
-        there += not problem
-    print(f"{there} of {len(photographs)} photographs are on this computer")
+        present += not problem
+    print(f"{present} of {len(photographs)} photographs are on this computer")
     return 0
 
 

@@ -91,8 +91,8 @@ def _far_from_background(image: np.ndarray) -> np.ndarray:
     holes."""
     image = cv2.medianBlur(image, 3)
     lab = cv2.cvtColor(image.astype(np.float32) / WHITE, cv2.COLOR_BGR2Lab)
-    away = np.linalg.norm(lab - np.median(lab.reshape(-1, 3), axis=0), axis=2)
-    bins = np.minimum(2 * away, WHITE).astype(np.uint8)
+    distance = np.linalg.norm(lab - np.median(lab.reshape(-1, 3), axis=0), axis=2)
+    bins = np.minimum(2 * distance, WHITE).astype(np.uint8)
     mask = cv2.threshold(bins, 0, 1, cv2.THRESH_BINARY | cv2.THRESH_OTSU)[1]
     mask = cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
     contours = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[-2]

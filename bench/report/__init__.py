@@ -68,15 +68,20 @@ CHARTS: tuple[Entry, ...] = (
     table_entry(learning, "learning"),
     table_entry(feeding, "feeding"),
     *(
-        Entry(f"stability_{key}", partial(chart_of, one=m), partial(rows_of, one=m), ("stability",))
-        for key, m in MAPS.items()
+        Entry(
+            f"stability_{key}",
+            partial(chart_of, stability_map=stability_map),
+            partial(rows_of, stability_map=stability_map),
+            ("stability",),
+        )
+        for key, stability_map in MAPS.items()
     ),
 )
 """Definitions of all charts."""
 
 TEXTS: dict[str, dict[str, str]] = {
     **yaml.safe_load(Path(__file__).with_name("charts.yaml").read_text(encoding="utf-8")),
-    **{f"stability_{key}": texts_of(one) for key, one in MAPS.items()},
+    **{f"stability_{key}": texts_of(stability_map) for key, stability_map in MAPS.items()},
 }
 """Texts of each chart by its key: `title`, `reading`, and for most charts `letter` and
 `default`."""
@@ -98,32 +103,32 @@ def made(data: Data, folder: Path, columns: Mapping[str, dict[str, str]]) -> lis
         Headings of each chart's CSV file by column, by the key of the chart.
     """
     charts, old = [], []
-    for one in CHARTS:
-        measured = all(name in data for name in one.sources)
+    for chart in CHARTS:
+        measured = all(name in data for name in chart.sources)
         try:
             if measured:
-                sheet = one.rows(data)
+                sheet = chart.rows(data)
             else:
-                sheet = Sheet.read(folder / f"{one.key}.csv", columns.get(one.key, {}))
-            panels, finding, default = one.draw(sheet.rows)
+                sheet = Sheet.read(folder / f"{chart.key}.csv", columns.get(chart.key, {}))
+            panels, finding, default = chart.draw(sheet.rows)
         except PlateError as error:
-            print(f"chart {one.key} is omitted: {error}", file=sys.stderr)
+            print(f"chart {chart.key} is omitted: {error}", file=sys.stderr)
         except KeyError as key:
             why = f"its stored rows have no column {key}"
-            print(f"chart {one.key} is omitted: {why}", file=sys.stderr)
+            print(f"chart {chart.key} is omitted: {why}", file=sys.stderr)
         else:
-            texts = {"letter": "", "default": default} | TEXTS[one.key]
+            texts = {"letter": "", "default": default} | TEXTS[chart.key]
             charts.append(
                 Chart(
-                    one.key,
+                    chart.key,
                     **texts,
                     finding=finding,
                     panels=panels,
                     sheet=sheet,
-                    sources=one.sources,
+                    sources=chart.sources,
                 )
             )
-            old += [one.key] * (not measured)
+            old += [chart.key] * (not measured)
     if old:
         text = f"charts without a new measurement, drawn from {folder}"
         print(f"{text}: {', '.join(old)}", file=sys.stderr)

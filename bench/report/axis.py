@@ -63,8 +63,8 @@ class Axis:
         """Return the coordinates of both ends of the axis, if it shows these numbers."""
         if self.limits:
             return self.place(self.limits[0]), self.place(self.limits[1])
-        at = [self.place(value) for value in values if not self.log or value > 0] or [0.0]
-        low, high = min(at), max(at)
+        positions = [self.place(value) for value in values if not self.log or value > 0] or [0.0]
+        low, high = min(positions), max(positions)
         pad = max(PAD * (high - low), 0.04 if self.log else 0.02 * abs(high)) or 1.0
         return low - pad, high + pad
 
@@ -127,7 +127,7 @@ def tick_texts(ticks: Iterable[float]) -> list[str]:
 def cell_edges(middles: Sequence[float], log: bool) -> list[float]:
     """Return the edges of neighbouring cells, computed from their centres. At least two cells are
     needed."""
-    at = np.log10(middles) if log else np.asarray(middles, float)
-    inner = [(a + b) / 2 for a, b in pairwise(at)]
-    found = np.array([2 * at[0] - inner[0], *inner, 2 * at[-1] - inner[-1]])
+    positions = np.log10(middles) if log else np.asarray(middles, float)
+    inner = [(a + b) / 2 for a, b in pairwise(positions)]
+    found = np.array([2 * positions[0] - inner[0], *inner, 2 * positions[-1] - inner[-1]])
     return (10**found if log else found).tolist()

@@ -101,8 +101,8 @@ class Sheet:
     def of(cls, rows: Sequence[Row], columns: dict[str, str]) -> Sheet:
         """Return a sheet in which all rows have the same keys. Keys with headings come first.
         Missing values are None."""
-        there = {key for row in rows for key in row}
-        keys = [key for key in columns if key in there]
+        present = {key for row in rows for key in row}
+        keys = [key for key in columns if key in present]
         keys += [key for row in rows for key in row if key not in columns]
         return cls([{key: row.get(key) for key in dict.fromkeys(keys)} for row in rows], columns)
 

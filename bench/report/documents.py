@@ -50,9 +50,11 @@ def block_text(name: str, item: Mapping[str, Any], key: str, facts: Data, commit
     """Return the text of a table, or of the sentences."""
     if key == "summary":
         return "".join(f"- {line}\n" for line in item["summary"])
-    one = next(each for each in item["tables"] if each["key"] == key)
-    frame = pd.DataFrame(one["rows"], columns=list(one["columns"])).rename(columns=one["columns"])
+    table = next(each for each in item["tables"] if each["key"] == key)
+    frame = pd.DataFrame(table["rows"], columns=list(table["columns"])).rename(
+        columns=table["columns"]
+    )
     lines = cell_texts(frame).to_markdown(index=False, disable_numparse=True)
     how = f"`make bench ARGS={name}` repeats the measurement"
-    note = f"{one['note']} {how}{measured(facts.get(name), commit)}."
+    note = f"{table['note']} {how}{measured(facts.get(name), commit)}."
     return f"{lines}\n\n*{note.strip()}*\n"

@@ -34,16 +34,16 @@ def feeding(rows: list[Row]) -> Drawn:
         "Speed and accuracy, robot cycle of 2 s", Axis("parts a minute"),
         Axis("pose error at the grip, 95th percentile [mm]", log=True),
     )  # fmt: skip
-    usual = [r for r in cases if r["error_95_mm"] is not None and r["cycle_s"] == ROBOT_S]
-    speed.kinds(usual, "method", "parts_per_min", "error_95_mm", STYLES, note="{case}")
+    timely_rows = [r for r in cases if r["error_95_mm"] is not None and r["cycle_s"] == ROBOT_S]
+    speed.kinds(timely_rows, "method", "parts_per_min", "error_95_mm", STYLES, note="{case}")
     for key, (label, ticks) in CHANGED.items():
         panel = panels.add(
             f"Waiting against {label.split(' [')[0]}", Axis(label, log=True, ticks=ticks),
             Axis("robot waits [% of the time]"),
         )  # fmt: skip
-        mine = [r for r in cases if r["changed"] == key.split("_")[0]]
+        changed_rows = [r for r in cases if r["changed"] == key.split("_")[0]]
         note = "{case}; worst run {most_waiting:.1f} %"
-        panel.kinds(mine, "method", key, "waiting", LINES, note=note)
+        panel.kinds(changed_rows, "method", key, "waiting", LINES, note=note)
         panel.rule(f"goal: {GOAL:g} %", y=GOAL)
     small = [{**r, "kind": "discs in a window of 100 mm"} for r in rows if r["window_mm"]]
     kinds = group_rows([*(r for r in rows if r["changed"] == "kind"), *small], "kind")

@@ -24,14 +24,14 @@ def force_map(rows: list[Row]) -> Drawn:
         ("many", "Many motions in one call, N = 2", "forces"),
         ("one", "One cycle, 1 part", "average_force"),
     ):
-        mine = groups[case]
-        limits = (0.1, 1e4) if case == "one" else (0, 1.6 * max(column(mine, "us")))
+        case_rows = groups[case]
+        limits = (0.1, 1e4) if case == "one" else (0, 1.6 * max(column(case_rows, "us")))
         panel = panels.add(
             title, Axis("time of one part's force [µs]", log=case == "one", limits=limits),
             Axis("error, 99th percentile [mu mg]", log=True, minimum=MIN_ERROR), "less less",
         )  # fmt: skip
-        best = next(r for r in mine if r["method"] == name)
-        others = [r for r in mine if r is not best]
+        best = next(r for r in case_rows if r["method"] == name)
+        others = [r for r in case_rows if r is not best]
         for r, colour, marker in zip([best, *others], (PROJECT, *COLOURS), "osD^vx", strict=False):
             style = Style(r["method"], colour, marker)
             panel.points([r], "us", "p99", style, note="median error {median:.3g}")

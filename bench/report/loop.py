@@ -25,23 +25,25 @@ def tracking(rows: list[Row]) -> Drawn:
         for count, colour in zip(counts, COUNT_COLOURS, strict=False)
     }
     panels = Panels()
-    for method, mine in groups.items():
+    for method, method_rows in groups.items():
         panel = panels.add(
             METHODS[method].name, Axis("speed along the path [mm/s]", log=True, ticks=SPEEDS),
             Axis("tracking error, RMS [mm]", log=True),
         )  # fmt: skip
-        panel.kinds(mine, "parts", "speed_mm_s", "rms_mm", styles, hollow=is_lost)
-        for bound in group_rows(mine, "bound_mm_s"):
+        panel.kinds(method_rows, "parts", "speed_mm_s", "rms_mm", styles, hollow=is_lost)
+        for bound in group_rows(method_rows, "bound_mm_s"):
             panel.rule("bound aT/16", x=bound)
     last = panels.add(
         "Maximum speed", Axis("parts", ticks=tuple(counts)),
         Axis("speed [mm/s]", log=True, ticks=SPEEDS),
     )  # fmt: skip
-    for method, mine in groups.items():
+    for method, method_rows in groups.items():
         name, colour, *_ = METHODS[method]
-        of_count = [r | {"kept": fastest(mine, r["parts"]) or None} for r in mine]
+        of_count = [r | {"kept": fastest(method_rows, r["parts"]) or None} for r in method_rows]
         last.points(of_count, "parts", "kept", Style(f"{name}, reached", colour, "o", "-"))
-        last.points(mine, "parts", "bound_mm_s", Style(f"{name}, bound aT/16", colour, "", "--"))
+        last.points(
+            method_rows, "parts", "bound_mm_s", Style(f"{name}, bound aT/16", colour, "", "--")
+        )
     is_fastest = all(
         fastest(groups["sinusoids"], n) >= fastest(groups.get("rotations", []), n) for n in counts
     )
@@ -84,13 +86,13 @@ def cameras(rows: list[Row]) -> Drawn:
     panels, borders = Panels(), []
     triggered = next(r for r in rows if r["changed"] == "triggered")
     for changed, (title, label, unit, log) in CAMERAS.items():
-        mine = [r | {"x": unit * r["value"]} for r in rows if r["changed"] == changed]
+        changed_rows = [r | {"x": unit * r["value"]} for r in rows if r["changed"] == changed]
         panel = panels.add(
             title, Axis(label, log, ticks=RATES if log else ()),
             Axis("tracking error, RMS [mm]", log=True),
         )  # fmt: skip
         panel.points(
-            mine,
+            changed_rows,
             "x",
             "rms_mm",
             Style("median", PROJECT, "o", "-"),
@@ -98,16 +100,16 @@ def cameras(rows: list[Row]) -> Drawn:
             note=ENDED,
         )
         worst = Style("worst run", FAINT, "o", ":")
-        panel.points(mine, "x", "worst_rms_mm", worst, hollow=has_failed_runs, note=ENDED)
+        panel.points(changed_rows, "x", "worst_rms_mm", worst, hollow=has_failed_runs, note=ENDED)
         panel.rule("allowed", y=ALLOWED_MM, colour=LIMIT)
         panel.rule("triggered", y=triggered["rms_mm"], colour=SECOND)
-        good = [r["x"] for r in mine if r["kept"]]
+        good = [r["x"] for r in changed_rows if r["kept"]]
         ends = f"{min(good):g} to {max(good):g}" if good else "none"
         borders.append(f"{label.replace(' [ms]', '')} {ends}{' ms' * (unit > 1)}")
-    usual = next(r for r in rows if r["changed"] == "image_rate" and r["value"] == 30)
+    default_row = next(r for r in rows if r["changed"] == "image_rate" and r["value"] == 30)
     return Drawn(
         panels,
-        f"The median error is {shown(usual['rms_mm'])} mm with the default camera, and "
+        f"The median error is {shown(default_row['rms_mm'])} mm with the default camera, and "
         f"{shown(triggered['rms_mm'])} mm with a triggered camera. Sufficient values in the tested "
         f"ranges: {'; '.join(borders)}.",
     )
@@ -130,8 +132,10 @@ def drives(rows: list[Row]) -> Drawn:
         panel = panels.add(
             title, Axis(label), Axis("median of the RMS tracking error [mm]", log=True)
         )
-        mine = [r for r in rows if r["changed"] == changed]
-        panel.kinds(mine, "drive", "value", "rms_mm", styles, hollow=has_failed_runs, note=ENDED)
+        changed_rows = [r for r in rows if r["changed"] == changed]
+        panel.kinds(
+            changed_rows, "drive", "value", "rms_mm", styles, hollow=has_failed_runs, note=ENDED
+        )
         panel.rule("bridges", y=bridges["rms_mm"], colour=LIMIT)
     errors = {
         (r["changed"], r["value"]): shown(r["rms_mm"]) for r in rows if r["drive"] == "interpolated"
@@ -163,15 +167,19 @@ def rigs(rows: list[Row]) -> Drawn:
         [r | {"scenario": r["scenario"].removesuffix("_desk")} for r in rows], "scenario"
     )
     for colour, marker, (scenario, these) in zip(COUNT_COLOURS, "osD", tasks.items(), strict=False):
-        mine = [r | {"share": success_percent(r), "kept": 100 * (r["pace"] or 0)} for r in these]
+        scenario_rows = [
+            r | {"share": success_percent(r), "kept": 100 * (r["pace"] or 0)} for r in these
+        ]
         style = Style(scenario, colour, marker)
         note = ENDED + "; feasible: {feasible}"
-        success.points(mine, "share", "rig", style, hollow=has_failed_runs, note=note)
-        time.points(mine, "time_s", "rig", style, hollow=has_failed_runs)
-        time.points(mine, "feasible_s", "rig", Style(f"{scenario}, predicted", colour, "x"))
-        if any(column(mine, "rms_mm")):
-            error.points(mine, "rms_mm", "rig", style, hollow=has_failed_runs)
-            pace.points(mine, "kept", "rig", style, hollow=has_failed_runs)
+        success.points(scenario_rows, "share", "rig", style, hollow=has_failed_runs, note=note)
+        time.points(scenario_rows, "time_s", "rig", style, hollow=has_failed_runs)
+        time.points(
+            scenario_rows, "feasible_s", "rig", Style(f"{scenario}, predicted", colour, "x")
+        )
+        if any(column(scenario_rows, "rms_mm")):
+            error.points(scenario_rows, "rms_mm", "rig", style, hollow=has_failed_runs)
+            pace.points(scenario_rows, "kept", "rig", style, hollow=has_failed_runs)
     failures = "; ".join(
         f"{rig} (" + ", ".join(f"{r['scenario']}: {r['succeeded']} succeeded" for r in these) + ")"
         for rig, these in group_rows(list(filter(has_failed_runs, rows)), "rig").items()

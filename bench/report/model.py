@@ -28,14 +28,14 @@ def model(rows: list[Row]) -> Drawn:
     """Return the chart of the CPU time and the error of a cycle, by scene and number of parts."""
     panels, ours = Panels(), group_rows([r for r in rows if r["method"] == "one model"], "scene")
     parts, time = Axis("parts", log=True), Axis("CPU time of a cycle [ms]", log=True)
-    for scene, mine in group_rows(rows, "scene").items():
+    for scene, scene_rows in group_rows(rows, "scene").items():
         panel = panels.add(scene, parts, time)
-        panel.kinds(mine, "method", "parts", "cpu_ms", STYLES, note="error {error_um:.3g} µm")
+        panel.kinds(scene_rows, "method", "parts", "cpu_ms", STYLES, note="error {error_um:.3g} µm")
     error = Axis("error after a cycle [µm]", log=True, minimum=MIN_UM)
     last = panels.add("Error of finite parts", parts, error)
-    for (scene, mine), colour in zip(ours.items(), COLOURS, strict=False):
-        last.points(mine, "parts", "error_um", Style(f"error, {scene}", colour, "s", "-"))
-    largest = [mine[-1] for mine in ours.values()]
+    for (scene, scene_rows), colour in zip(ours.items(), COLOURS, strict=False):
+        last.points(scene_rows, "parts", "error_um", Style(f"error, {scene}", colour, "s", "-"))
+    largest = [scene_rows[-1] for scene_rows in ours.values()]
     times = ", ".join(f"{r['scene']} {shown(r['cpu_ms'])}" for r in largest)
     return Drawn(
         panels,

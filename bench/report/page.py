@@ -34,19 +34,19 @@ def write_report(path: Path, facts: Data, charts: Sequence[Chart]) -> None:
     charts : sequence of Chart
     """
     links = "".join(
-        f'<a href="#{one.key}">{escape(one.full_title.split(":")[0])}</a>' for one in charts
+        f'<a href="#{chart.key}">{escape(chart.full_title.split(":")[0])}</a>' for chart in charts
     )
     rows = "".join(
-        f'<tr><td><a href="#{one.key}">{escape(one.full_title)}</a></td>'
-        f"<td>{escape(one.finding)}</td></tr>"
-        for one in charts
+        f'<tr><td><a href="#{chart.key}">{escape(chart.full_title)}</a></td>'
+        f"<td>{escape(chart.finding)}</td></tr>"
+        for chart in charts
     )
     sentences = [f'<p class="soft">Measured on: {escape(text)}.</p>' for text in machines(facts)]
     text = Template(PAGE.read_text(encoding="utf-8")).substitute(
         style=STYLE.read_text(encoding="utf-8"), script=get_plotlyjs(),
         warning=quick_warning(facts),
         machines="\n".join(sentences), links=links, rows=rows,
-        sections="\n".join(section(one, facts) for one in charts),
+        sections="\n".join(section(chart, facts) for chart in charts),
     )  # fmt: skip
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(text, encoding="utf-8")

@@ -226,18 +226,18 @@ class Panel:
         in_front : bool
             Whether the points take part in the Pareto front.
         """
-        at = [(self.x.drawn(row[x]), self.y.drawn(row[y])) for row in rows]
+        positions = [(self.x.drawn(row[x]), self.y.drawn(row[y])) for row in rows]
         empty = [hollow(row) for row in rows]
         name, colour, marker, line = style
-        there = (("lines", line), ("markers", marker))
+        modes = (("lines", line), ("markers", marker))
         self.traces.append(
             go.Scatter(
-                x=[place[0] for place in at], y=[place[1] for place in at], name=name,
-                mode="+".join(word for word, on in there if on),
+                x=[place[0] for place in positions], y=[place[1] for place in positions], name=name,
+                mode="+".join(word for word, on in modes if on),
                 line={"color": colour, "width": 2, "dash": DASHES.get(line, "solid")},
                 marker={
                     "symbol": SYMBOLS.get(marker, "circle"), "size": 8,
-                    "color": ["white" if one else colour for one in empty],
+                    "color": ["white" if is_empty else colour for is_empty in empty],
                     "line": {"color": colour, "width": 2 if marker == "x" or any(empty) else 1},
                 },
                 cliponaxis=False,
@@ -248,7 +248,9 @@ class Panel:
         )  # fmt: skip
         if in_front:
             self._counted += [
-                place for place, out in zip(at, empty, strict=True) if None not in place and not out
+                place
+                for place, out in zip(positions, empty, strict=True)
+                if None not in place and not out
             ]
 
     def kinds(
@@ -262,8 +264,8 @@ class Panel:
     ) -> None:
         """Draw the points of every kind. The value in a column determines the kind of a row. `more`
         contains further arguments of `points`."""
-        for kind, mine in group_rows(rows, key).items():
-            self.points(mine, x, y, styles[kind], **more)
+        for kind, kind_rows in group_rows(rows, key).items():
+            self.points(kind_rows, x, y, styles[kind], **more)
 
     def heat(
         self, x: Sequence[float], y: Sequence[float], z: Sequence[Sequence[float | None]],

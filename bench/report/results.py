@@ -65,18 +65,18 @@ def write_results(path: Path, facts: Data, charts: Sequence[Chart]) -> None:
     """Write the page, and next to it the pictures, the CSV files and the facts about them."""
     folder = path.parent / FOLDER
     folder.mkdir(parents=True, exist_ok=True)
-    for one in charts:
-        (folder / f"{one.key}.csv").write_text(one.sheet.csv, encoding="utf-8")
-        width, height = one.panels.size_px
-        one.panels.draw().write_image(folder / f"{one.key}.png", width=width, height=height)
-    names = dict.fromkeys(name for one in charts for name in one.sources if name in facts)
+    for chart in charts:
+        (folder / f"{chart.key}.csv").write_text(chart.sheet.csv, encoding="utf-8")
+        width, height = chart.panels.size_px
+        chart.panels.draw().write_image(folder / f"{chart.key}.png", width=width, height=height)
+    names = dict.fromkeys(name for chart in charts for name in chart.sources if name in facts)
     used = {name: facts[name] for name in names}
-    columns = {one.key: one.sheet.columns for one in charts}
+    columns = {chart.key: chart.sheet.columns for chart in charts}
     text = json.dumps({"measurements": facts, "columns": columns}, indent=1)
     (folder / FACTS).write_text(text + "\n", encoding="utf-8")
     lines = [
-        f"Machine{'' if len(machines(used)) == 1 else ' of ' + ', '.join(mine)}: {facts}."
-        for facts, mine in machines(used).items()
+        f"Machine{'' if len(machines(used)) == 1 else ' of ' + ', '.join(measurements)}: {facts}."
+        for facts, measurements in machines(used).items()
     ]
     quick = ", ".join(name for name, item in used.items() if item["quick"])
     lines += [f"**Quick measurements with few cases: {quick}.**"] if quick else []
@@ -85,7 +85,7 @@ def write_results(path: Path, facts: Data, charts: Sequence[Chart]) -> None:
     parts = [
         ABOUT,
         "\n".join(lines) + "\n",
-        *(section(one, facts, commit) for one in charts),
+        *(section(chart, facts, commit) for chart in charts),
         demos(folder),
     ]
     path.write_text("\n".join(parts).rstrip() + "\n", encoding="utf-8")
@@ -103,8 +103,10 @@ def section(chart: Chart, facts: Data, commit: str) -> str:
         lines.append(f"Default: {chart.default}\n")
     measurements = []
     for name in chart.sources:
-        own = facts.get(name, {}).get("commit") or commit
-        measurements.append(f"`{name}`" + f" (commit {own})" * (own != commit))
+        measured_commit = facts.get(name, {}).get("commit") or commit
+        measurements.append(
+            f"`{name}`" + f" (commit {measured_commit})" * (measured_commit != commit)
+        )
     lines.append(f"[Data]({FOLDER}/{chart.key}.csv): {', '.join(measurements)}.\n")
     return "\n".join(lines)
 

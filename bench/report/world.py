@@ -73,11 +73,11 @@ def sim(rows: list[Row]) -> Drawn:
     speed = Axis("simulated time per CPU time [s/s]", log=True)
     for case, key, title, label, error, minimum, line in SIMULATED:
         styles = {method: style._replace(line=line) for method, style in SIMULATORS.items()}
-        for value, mine in sorted(group_rows(cases[case], key).items()):
+        for value, value_rows in sorted(group_rows(cases[case], key).items()):
             y = Axis(label, log=True, minimum=minimum)
             panel = panels.add(title.format(value), speed, y, "more less")
-            panel.kinds(mine, "method", "speed", error, styles, note="{setting}")
-            for row in filter(is_default, mine):
+            panel.kinds(value_rows, "method", "speed", error, styles, note="{setting}")
+            for row in filter(is_default, value_rows):
                 panel.mark(row["speed"], row[error])
     lead = ", ".join(f"{r['lead']:.0f}" for r in cases["lead"] if r["lead"])
     counts = ", ".join(str(r["parts"]) for r in cases["lead"])
@@ -167,14 +167,14 @@ def vision(rows: list[Row]) -> Drawn:
     }
     scenes = group_rows([r for r in rows if r["rms_px"] is not None], "place", "discs")
     panels = Panels()
-    for (place, discs), mine in sorted(scenes.items()):
+    for (place, discs), scene_rows in sorted(scenes.items()):
         panel = panels.add(
             f"{discs} discs, {place}", Axis("time for one image, in a loop [ms]", log=True),
             Axis("error of the centres, RMS [px]", log=True), "less less",
         )  # fmt: skip
         note = "missed {missed_percent:.0f} %, false {false_percent:.0f} %"
-        panel.kinds(mine, "method", "loop_ms", "rms_px", styles, hollow=is_wrong, note=note)
-        panel.mark(mine[0]["loop_ms"], mine[0]["rms_px"])
+        panel.kinds(scene_rows, "method", "loop_ms", "rms_px", styles, hollow=is_wrong, note=note)
+        panel.mark(scene_rows[0]["loop_ms"], scene_rows[0]["rms_px"])
     ours = [r for r in rows if r["method"] == methods[0]]
     return Drawn(
         panels,

@@ -55,10 +55,10 @@ def measure(quick: bool) -> Result:
     return Result([Table.of("bodies", rows, span=CYCLES / FREQUENCY)])
 
 
-def pose_distance(one: np.ndarray, other: np.ndarray) -> float:
+def pose_distance(a: np.ndarray, other: np.ndarray) -> float:
     """Return the difference of two poses (3,) [m, m, rad] of the disc as a distance [m]. This is
     the distance of the centres or the distance of a point on the contour, whichever is larger."""
-    x, y, angle = one - other
+    x, y, angle = a - other
     return max(float(np.hypot(x, y)), RADIUS * abs(angle))
 
 

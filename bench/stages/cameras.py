@@ -334,8 +334,8 @@ def draw_scene(kind: Kind, seed: int) -> Scene:
     bare = []
     if kind.typed:
         sharp = Camera(real, kind.noise, **light, defocus_px=kind.defocus_px)
-        none = np.zeros((0, 2))
-        bare = [sharp.render(none, colours[:0], rng) for _ in range(BARE_IMAGES)]
+        no_parts = np.zeros((0, 2))
+        bare = [sharp.render(no_parts, colours[:0], rng) for _ in range(BARE_IMAGES)]
     known = real if kind.known is None else kind.known(real)
     return Scene(known, bare, images, place, angle, types)
 
@@ -348,8 +348,8 @@ def random_centres(rig: Rig, types: Sequence[PartType], rng: np.random.Generator
     cell = 2 * rig.plate.half / (columns, lines)
     chosen = rng.permutation(columns * lines)[: len(types)]
     middle = -rig.plate.half + cell * (np.column_stack([chosen % columns, chosen // columns]) + 0.5)
-    own = np.array([part.reach_m for part in types])[:, None]
-    free = np.maximum(cell / 2 - own - 0.001, 0)
+    part_reach = np.array([part.reach_m for part in types])[:, None]
+    free = np.maximum(cell / 2 - part_reach - 0.001, 0)
     return np.clip(middle + rng.uniform(-1, 1, middle.shape) * free, -limit, limit)
 
 
@@ -359,19 +359,19 @@ def compress_image(image: np.ndarray, quality: int) -> np.ndarray:
     return np.asarray(cv2.imdecode(data, cv2.IMREAD_UNCHANGED))
 
 
-def detect_in_scene(one: Scene) -> Iterator[tuple[Tracker, bool]]:
+def detect_in_scene(scene: Scene) -> Iterator[tuple[Tracker, bool]]:
     """Yield the detector's result for each image of a scene, and whether the detector reports a
     problem. Problems are rejected objects, a moved outline of the plate, and a refused image."""
-    vision, tracker, plate, stamp = make_vision(one.rig), Tracker(), BarePlate(), 1.0
-    outline = OutlineCheck.of(one.rig, vision.calibration)
-    if one.types:
-        plate = replace(plate, requested=len(one.bare))
-    for image in one.bare:
+    vision, tracker, plate, stamp = make_vision(scene.rig), Tracker(), BarePlate(), 1.0
+    outline = OutlineCheck.of(scene.rig, vision.calibration)
+    if scene.types:
+        plate = replace(plate, requested=len(scene.bare))
+    for image in scene.bare:
         plate, vision, _ = know_plate(plate, vision, image)
-    for image in one.images:
+    for image in scene.images:
         stamp += INTERVAL_S
         try:
-            if one.types:
+            if scene.types:
                 plate, vision, _ = know_plate(plate, vision, image)
             tracker = observe(vision, tracker, image, stamp)
             outline = outline.add(image, stamp)
@@ -387,30 +387,31 @@ def row_of(kind: Kind, count: int) -> dict[str, Any]:
     true = false = right = lost = reported = 0
     times = []
     for seed in range(FIRST_SEED, FIRST_SEED + count):
-        one = draw_scene(kind, seed)
+        scene = draw_scene(kind, seed)
         began = time.process_time()
-        for number, (tracker, named_parts) in enumerate(detect_in_scene(one)):
+        for number, (tracker, named_parts) in enumerate(detect_in_scene(scene)):
             times.append(time.process_time() - began)
             began = time.process_time()
-            if not kind.typed and number < len(one.images) - 1:
+            if not kind.typed and number < len(scene.images) - 1:
                 continue
             # A part that is published with the class unknown counts as not detected. `named_parts`
             # states whether the detector has reported such a problem.
             named = [not name.startswith("unknown") for name in tracker.parts.ids]
             found = tracker.parts.position[named]
             ids = [name for name, kept in zip(tracker.parts.ids, named, strict=True) if kept]
-            reach = np.array([part.reach_m for part in one.types]) if one.types else None
+            reach = np.array([part.reach_m for part in scene.types]) if scene.types else None
             i, j, gap = paired(
-                found, one.position, one.rig.parts.radius_m if reach is None else reach
+                found, scene.position, scene.rig.parts.radius_m if reach is None else reach
             )
             gaps += gap.tolist()
-            true += len(one.position)
+            true += len(scene.position)
             false += len(found) - len(i)
-            if one.types:
+            if scene.types:
                 right += sum(
-                    ids[a].rsplit("_", 1)[0] == one.types[b].name for a, b in zip(i, j, strict=True)
+                    ids[a].rsplit("_", 1)[0] == scene.types[b].name
+                    for a, b in zip(i, j, strict=True)
                 )
-            if len(i) < len(one.position):
+            if len(i) < len(scene.position):
                 lost += 1
                 reported += named_parts
     error = 1e3 * np.array(gaps)

@@ -129,8 +129,8 @@ def make_contestants(rig: Rig, parts: int) -> dict[tuple[str, str], Contestant]:
         RotationSolver(rig, period=period, restarts=1), period
     )
     for restarts in SCIPY_RESTARTS:
-        for own, derivatives in ((True, "own differences"), (False, "our derivatives")):
-            search = ScipySearch(rig, parts, own, restarts)
+        for own_derivatives, derivatives in ((True, "own differences"), (False, "our derivatives")):
+            search = ScipySearch(rig, parts, own_derivatives, restarts)
             found[f"scipy, {derivatives}", f"{restarts} restarts"] = search.answer
     return found
 

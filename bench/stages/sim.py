@@ -134,8 +134,10 @@ def settings(scene: Scene, exact: float, quick: bool) -> Iterator[Setting]:
 def speed_rows(quick: bool) -> list[dict[str, Any]]:
     """For each number of parts, return a row with the speeds of the methods. All methods are
     compared at the error of pymunk. The parts move in all directions."""
-    counts, there = (1, 10, 100), optional(PYMUNK)
-    return [{"parts": count, "lead": speedup(count, quick) if there else None} for count in counts]
+    counts, has_pymunk = (1, 10, 100), optional(PYMUNK)
+    return [
+        {"parts": count, "lead": speedup(count, quick) if has_pymunk else None} for count in counts
+    ]
 
 
 def speedup(count: int, quick: bool) -> float:

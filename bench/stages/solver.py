@@ -151,7 +151,7 @@ class ScipySolver:
 
 def solved_sentence(parts: int, method: str, samples: list[dict[str, Any]]) -> str:
     """Return the statistics of one method's results for one number of parts."""
-    mine = [s for s in samples if s["parts"] == parts and s["method"] == method]
-    met = 100 * np.mean([s["error"] <= TOLERANCE for s in mine])
-    ms = np.median([s["ms"] for s in mine])
+    method_samples = [s for s in samples if s["parts"] == parts and s["method"] == method]
+    met = 100 * np.mean([s["error"] <= TOLERANCE for s in method_samples])
+    ms = np.median([s["ms"] for s in method_samples])
     return f"{parts} parts, {method}: {met:.0f} % within {TOLERANCE:g} mu m g, median {ms:.3g} ms"

@@ -122,7 +122,7 @@ def disc_rows(tray: Scene, quick: bool) -> list[dict[str, Any]]:
     The methods are timed in turn. The baselines' scenes are built for each run, which is not timed.
     """
     steps = (33, 22) if quick else (33, 22, 167)
-    own = round(tray.cycle.period / STEP)
+    tray_steps = round(tray.cycle.period / STEP)
     build: dict[str, Callable[[int], Any]] = {
         PYMUNK: lambda n: PymunkTray(tray, tray.cycle.period / n),
         MUJOCO: lambda n: MujocoScene(
@@ -130,7 +130,7 @@ def disc_rows(tray: Scene, quick: bool) -> list[dict[str, Any]]:
             RADIUS, HALF,
         ),
     }  # fmt: skip
-    cases = [(PROJECT, n) for n in dict.fromkeys((*steps, own))]
+    cases = [(PROJECT, n) for n in dict.fromkeys((*steps, tray_steps))]
     cases += [(PYMUNK, n) for n in steps[::2] if optional(PYMUNK)]
     cases += [
         (MUJOCO, n) for n in steps[:1] if optional("mujoco") and len(tray.position) <= MUJOCO_MAX

@@ -92,9 +92,11 @@ PRESLIDING_M = 1e-6
 
 def measure(quick: bool) -> Result:
     """Measure creep and tasks, and estimate the neglected effects."""
-    there = [method for package, method in BASELINES if optional(package)]
+    baselines = [method for package, method in BASELINES if optional(package)]
     tables = [
-        Table.of("creep", creep_rows([*PROJECT, *there], 0.5 if quick else CREEP_S), span=CREEP_S),
+        Table.of(
+            "creep", creep_rows([*PROJECT, *baselines], 0.5 if quick else CREEP_S), span=CREEP_S
+        ),
         Table.of("left_out", neglected_effects(load_rig())),
         Table.of("worlds", world_rows(1 if quick else 3)),
     ]

@@ -116,8 +116,8 @@ def measure(quick: bool) -> Result:
     rows = [
         {"drive": drive, "changed": changed, "value": value}
         | summarise(runs)
-        | {"plate_um": median([one["plate_um"] for one in runs])}
+        | {"plate_um": median([run["plate_um"] for run in runs])}
         for (drive, changed, value), runs in by_case(driven_run, work, Cache.of(__name__)).items()
     ]
-    usual = ", ".join(f"{key} {value:g}" for key, value in USUAL.items())
-    return Result([Table.of("drives", rows, usual=usual)])
+    defaults = ", ".join(f"{key} {value:g}" for key, value in USUAL.items())
+    return Result([Table.of("drives", rows, usual=defaults)])

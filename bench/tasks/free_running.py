@@ -52,5 +52,5 @@ def measure(quick: bool) -> Result:
         found = summarise(runs)
         kept = found["good"] == found["runs"] and found["rms_mm"] <= ALLOWED_MM
         rows.append({"changed": changed, "value": value, **found, "kept": kept})
-    usual = ", ".join(f"{key} {value:g}" for key, value in USUAL.items())
-    return Result([Table.of("cameras", rows, usual=usual)])
+    defaults = ", ".join(f"{key} {value:g}" for key, value in USUAL.items())
+    return Result([Table.of("cameras", rows, usual=defaults)])

@@ -74,7 +74,7 @@ def line_run(baud: int, lost: float, delay_s: float, play_s: float, stops: int) 
     run(play_s, True)
     times = []
     # number of enable commands after stops that were not requested
-    own = operator.enables - enables
+    own_stops = operator.enables - enables
     count = len(played)
     for _ in range(stops):
         run(BEGIN_S, True, lambda: emulator.state is State.PLAYING)
@@ -87,7 +87,7 @@ def line_run(baud: int, lost: float, delay_s: float, play_s: float, stops: int) 
         run(BEGIN_S, False, ready)
     return row | {
         "tables": 60 * count / play_s,
-        "stops_own": own,
+        "stops_own": own_stops,
         "brake_ms": float(np.median(times)) if times else None,
         "brake_most_ms": max(times) if times else None,
     }

@@ -95,7 +95,7 @@ def rig_rows(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     prediction of `feasible` in brackets."""
     found: dict[str, dict[str, Any]] = {}
     for row in rows:
-        mine = found.setdefault(row["rig"], {"rig": row["rig"], "gamma": row["gamma"]})
+        rig_row = found.setdefault(row["rig"], {"rig": row["rig"], "gamma": row["gamma"]})
         result = [row["succeeded"]]
         if row["time_s"] is not None:
             result.append(f"{row['time_s']:.0f} s")
@@ -106,5 +106,5 @@ def rig_rows(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
         prediction = "yes" if row["feasible"] == "likely" else "no"
         if row["feasible_s"] is not None:
             prediction += f", {row['feasible_s']:.0f} s"
-        mine[row["scenario"].removesuffix("_desk")] = f"{', '.join(result)} ({prediction})"
+        rig_row[row["scenario"].removesuffix("_desk")] = f"{', '.join(result)} ({prediction})"
     return list(found.values())

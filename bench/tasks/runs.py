@@ -29,7 +29,7 @@ def sorting_scenario(count: int) -> Scenario:
     groups = (PartGroup("black", count - count // 2), PartGroup("grey", count // 2))
     parts = tuple(group for group in groups if group.count)
     task = replace(
-        scenario.task, regions={one.label: scenario.task.regions[one.label] for one in parts}
+        scenario.task, regions={part.label: scenario.task.regions[part.label] for part in parts}
     )
     return replace(scenario, parts=parts, task=task, time_limit_s=900.0)
 

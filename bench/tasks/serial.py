@@ -66,10 +66,10 @@ def fault_row(kind: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
 def accident_run(kind: str, seed: int) -> dict[str, Any]:
     """Run the short task with one kind of accident."""
     trouble, event = KINDS[kind]
-    at = 1.2 + 1.8 * float(np.random.default_rng(seed).random())
+    fault_s = 1.2 + 1.8 * float(np.random.default_rng(seed).random())
     faults = FaultSchedule(LineFaults(baud=BAUD, **trouble))
     short = read_scenario(Fields(SHORT, "short", PlateError), "short")
-    last, line = serial_run(Setup(short, seed), faults, event, at)
+    last, line = serial_run(Setup(short, seed), faults, event, fault_s)
     phase, verdict = last.progress.phase, line.plate_check.verdict()
     done = phase == "done" and last.world.dropped == 0
     return {

@@ -193,20 +193,20 @@ class Shaker:
         for _ in range(ticks):
             yield self._rest
         state = self.simulation.state
-        there = np.flatnonzero(state.on_plate)
-        reach = np.array([self.rig.part_type(part_class(state.ids[i])).reach_m for i in there])
+        on_plate = np.flatnonzero(state.on_plate)
+        reach = np.array([self.rig.part_type(part_class(state.ids[i])).reach_m for i in on_plate])
         place = random_positions(reach, self.rig.plate.half, self._rng)
         position, angle = state.position.copy(), state.angle.copy()
-        position[there] = place
-        angle[there] = self._rng.uniform(-np.pi, np.pi, len(there))
+        position[on_plate] = place
+        angle[on_plate] = self._rng.uniform(-np.pi, np.pi, len(on_plate))
         self.simulation.state = replace(state, position=position, angle=angle)
 
     def _vibration_cycles(self) -> Iterator[PlateCycle]:
         open_s, began = self._open_hopper(), self.tally.time_s
-        mine = [part_class(name) == self.task.picks[0].label for name in self.parts.ids]
-        if np.any(mine):
+        of_class = [part_class(name) == self.task.picks[0].label for name in self.parts.ids]
+        if np.any(of_class):
             low, high = pick_window(self.task.picks[0], self.rig)
-            displacement = (low + high) / 2 - self.parts.position[mine].mean(axis=0)
+            displacement = (low + high) / 2 - self.parts.position[of_class].mean(axis=0)
             for axis, cycle in enumerate(self._pushes):
                 far = CONVEY * abs(displacement[axis])
                 for _ in range(int(np.searchsorted(self._conveyed[axis], far))):
@@ -262,9 +262,9 @@ def random_positions(reach: np.ndarray, half: np.ndarray, rng: np.random.Generat
     plate with half side lengths (2,) [m]. A disc for which no free space is found overlaps
     others."""
     place = np.zeros((len(reach), 2))
-    for i, mine in enumerate(reach):
+    for i, own_reach in enumerate(reach):
         for _ in range(TRIES):
-            place[i] = (half - mine) * rng.uniform(-1, 1, 2)
-            if np.all(np.hypot(*(place[:i] - place[i]).T) >= reach[:i] + mine):
+            place[i] = (half - own_reach) * rng.uniform(-1, 1, 2)
+            if np.all(np.hypot(*(place[:i] - place[i]).T) >= reach[:i] + own_reach):
                 break
     return place

@@ -56,7 +56,7 @@ def measure(quick: bool) -> Result:
         for (method, count, _), runs in cached_runs(cache, cases).items():
             rows[method, count].append(row_of(rig, method, count, speed, runs))
         going = [kind for kind in going if rows[kind][-1]["kept"]]
-    found = [row for mine in rows.values() for row in mine]
+    found = [row for method_rows in rows.values() for row in method_rows]
     facts = {"radius": 1e3 * RADIUS_M, "rms": 1e3 * MAX_RMS_M, "delay": MAX_DELAY}
     return Result([Table.of("tracking", found, seeds=SEEDS, **facts)])
 

@@ -50,7 +50,9 @@ def measure(quick: bool) -> Result:
     for (name, scene), runs in cached_runs(Cache.of(__name__), cases).items():
         row = {"scenario": name, "scene": scene} | summarise(runs)
         plain = row if scene == PLAIN else plain
-        there = row["time_s"] is not None and plain["time_s"] is not None
-        row["longer_percent"] = 100 * (row["time_s"] / plain["time_s"] - 1) if there else None
+        both_finished = row["time_s"] is not None and plain["time_s"] is not None
+        row["longer_percent"] = (
+            100 * (row["time_s"] / plain["time_s"] - 1) if both_finished else None
+        )
         rows.append(row)
     return Result([Table.of("task_views", rows, seed=FIRST_SEED)])

@@ -211,14 +211,14 @@ class Faults:
         self.work()
         row, plate, diagnostics = Row(kind, node), self.plate, self.observer.record.diagnostics
         plate.tables_only = node == "simulator" and kind != "cut"
-        at, at_utc = time.monotonic(), time.time()
+        put_at, at_utc = time.monotonic(), time.time()
         with self.fault(kind, node):
             self.wait(FREEZE_S if kind == "freeze" else WATCH_S)
             row.load = round(os.getloadavg()[0], 1)
             if not plate.moving:
                 row.rest_s = round(max(0.0, plate.moved_until - at_utc), 1)
             back = time.monotonic()
-        self.add_messages(row, at, back)
+        self.add_messages(row, put_at, back)
         # Wait until the node publishes diagnostics again. Until the operator sends a request, the
         # plate must not move.
         self.observer.until(
@@ -231,7 +231,7 @@ class Faults:
         self.wait(UNASKED_S)
         plate.tables_only = False
         if row.task_s is None:  # the end of the task was not published before the node was back
-            self.add_messages(row, at, time.monotonic())
+            self.add_messages(row, put_at, time.monotonic())
         row.moved_unasked = (
             row.rest_s is not None and plate.moved_until > at_utc + row.rest_s + 0.25
         )

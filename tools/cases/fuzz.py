@@ -111,9 +111,10 @@ def message_templates(rig: Rig, rng: np.random.Generator) -> dict[type, bytes]:
     if rng.random() < 0.5:
         message = motors_to_msg(rig, cycle, stamp)
     name, (x, y) = str(rng.choice(["", "black_1", "grey_2"])), rng.uniform(-0.3, 0.3, 2).tolist()
+    targets = [PartTarget(i, tuple(position)) for i, position in zip(ids, place, strict=True)]
     right = (
         message, request_to_msg(request, stamp), array_to_image(pixels, stamp),
-        targets_to_msg([PartTarget(i, tuple(at)) for i, at in zip(ids, place, strict=True)], stamp),
+        targets_to_msg(targets, stamp),
         PlacePart.Request(id=name, type="black", x=x, y=y), RemovePart.Request(id=name),
     )  # fmt: skip
     return {type(msg): serialize_message(msg) for msg in right}
@@ -192,8 +193,8 @@ def find_topics(node: Any) -> list[tuple[str, type, Any]]:
                 serialize_message(answer(request, kind.Response()))
 
             topics.append((service.srv_name, kind.Request, ask))
-    own = ("clock", "parameter_events")
-    return [item for item in topics if item[0].rsplit("/", 1)[-1] not in own]
+    of_ros = ("clock", "parameter_events")
+    return [item for item in topics if item[0].rsplit("/", 1)[-1] not in of_ros]
 
 
 def fuzzed_message(kind: type, pool: list[dict[type, bytes]], rng: np.random.Generator) -> Any:

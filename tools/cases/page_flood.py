@@ -215,8 +215,8 @@ def run(logs: Path, minutes: float = 3.0, seed: int = 0) -> Iterator[Outcome]:
     rig = shutil.copy(config_path("rig.yaml"), logs)
     options = RunOptions(scenario="play", rig_file=str(rig), view=True)
     # run in the folder `logs`, because `teach` writes its file into the detector's working folder
-    there = contextlib.chdir(logs)
-    with there, session(options, logs, pictures=False) as graph:
+    in_logs = contextlib.chdir(logs)
+    with in_logs, session(options, logs, pictures=False) as graph:
         flood_page(graph, verdict, seed)
     failed = verdict.ends or any(verdict.late.values()) or verdict.problems or not verdict.stops
     yield Outcome(vars(verdict), well=not failed)

@@ -61,11 +61,11 @@ def summarise(series: Series) -> dict[str, Any]:
     tasks = series.tasks
     after = min(SETTLED_S, tasks[-1].at_s / 3)
     settled = [task for task in tasks if task.at_s > after]
-    at = np.array([task.at_s for task in settled])
+    times = np.array([task.at_s for task in settled])
     memory = []
     for name in tasks[0].memory_mb:
         values = np.array([task.memory_mb[name] for task in settled])
-        growth, wide = fit_slope(at, values)
+        growth, wide = fit_slope(times, values)
         memory.append(
             {
                 "node": name, "first_mb": values[0], "last_mb": values[-1],
@@ -74,7 +74,7 @@ def summarise(series: Series) -> dict[str, Any]:
         )  # fmt: skip
     cycles, held, late = np.sum([task.counts for task in tasks], axis=0).tolist()
     latency = 1e3 * np.concatenate([task.latency for task in tasks])
-    drift, wide = fit_slope(at, np.array([1e3 * np.median(task.latency) for task in settled]))
+    drift, wide = fit_slope(times, np.array([1e3 * np.median(task.latency) for task in settled]))
     return {
         "hours": tasks[-1].at_s / 3600,
         "tasks": len(tasks), "done": sum(task.done for task in tasks),

@@ -344,8 +344,8 @@ class Observer:
 
     def seen(self, names: Iterable[str]) -> list[str]:
         """Return the names of the nodes that are now visible in the ROS graph."""
-        there = self.node.get_node_names()
-        return [name for name in names if name in there]
+        visible = self.node.get_node_names()
+        return [name for name in names if name in visible]
 
     def await_nodes(self, names: list[str], timeout_s: float) -> list[str]:
         """Wait until all nodes are visible in the ROS graph, and return their names.

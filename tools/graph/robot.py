@@ -191,7 +191,7 @@ def feed_result(
     """
     taken = [grip for grip in grips if grip.taken]
     time_s = sum(grip.cycle_s for grip in grips)
-    away = [1e3 * grip.error_m for grip in taken]
+    errors_mm = [1e3 * grip.error_m for grip in taken]
     turned = [abs(math.degrees(grip.error_rad)) for grip in taken]
 
     def last_count(what: str) -> int:
@@ -199,7 +199,7 @@ def feed_result(
 
     astray = sum(last_count(f"{label} over the chute") for label in labels)
     lost = last_count("parts dropped") + astray
-    near = bool(taken) and max(away) <= NEAR_MM and max(turned) <= NEAR_DEG
+    near = bool(taken) and max(errors_mm) <= NEAR_MM and max(turned) <= NEAR_DEG
     return {
         "success": len(taken) >= picks and near and lost == 0,
         "message": record.states[-1] if len(taken) < picks else "",
@@ -209,7 +209,7 @@ def feed_result(
         "time_s": round(time_s, 1),
         "parts_per_minute": round(60 * len(taken) / time_s, 1) if grips else 0.0,
         "robot_waits_share": round(sum(g.waited_s for g in grips) / time_s, 4) if grips else 0,
-        "pick_error_mm": [round(float(f(away)), 3) for f in (np.median, max) if taken],
+        "pick_error_mm": [round(float(f(errors_mm)), 3) for f in (np.median, max) if taken],
         "pick_error_deg": [round(float(f(turned)), 2) for f in (np.median, max) if taken],
         "discharged": last_count("parts over the chute") - astray,
     }

@@ -71,11 +71,11 @@ class Canvas:
         self, centre: Sequence | np.ndarray, radius: float, face: Colour | None, edge: Colour
     ) -> None:
         """Draw a disc with an edge. If `face` is None, draw only the edge."""
-        at = self._to_px(centre)[0, 0].tolist()
+        centre_px = self._to_px(centre)[0, 0].tolist()
         size = round(radius * self.scale * 2**SHIFT)
         if face is not None:
-            cv2.circle(self.pixels, at, size, face, -1, cv2.LINE_AA, SHIFT)
-        cv2.circle(self.pixels, at, size, edge, self._line_width(1.5), cv2.LINE_AA, SHIFT)
+            cv2.circle(self.pixels, centre_px, size, face, -1, cv2.LINE_AA, SHIFT)
+        cv2.circle(self.pixels, centre_px, size, edge, self._line_width(1.5), cv2.LINE_AA, SHIFT)
 
     def outline(
         self, corner: np.ndarray, holes: Sequence[np.ndarray], face: Colour | None, edge: Colour
@@ -111,9 +111,9 @@ class Canvas:
     def write(self, point: Sequence | np.ndarray, text: str) -> None:
         """Write a text centred at a point [m], with a white edge."""
         image = Image.fromarray(self.pixels)
-        at = tuple(self._to_px(point)[0, 0] / 2**SHIFT)
+        corner_px = tuple(self._to_px(point)[0, 0] / 2**SHIFT)
         ImageDraw.Draw(image).text(
-            at, text, INK, font(self.text_px), "mm", stroke_width=2, stroke_fill=WHITE
+            corner_px, text, INK, font(self.text_px), "mm", stroke_width=2, stroke_fill=WHITE
         )
         self.pixels[:] = np.asarray(image)
 
@@ -128,8 +128,8 @@ def dashes(point: Sequence | np.ndarray, length: float) -> list[np.ndarray]:
     for start in starts:
         end = min(start + length, distance[-1])
         inner = distance[(distance > start) & (distance < end)]
-        at = np.array([start, *inner, end])
-        pieces.append(np.column_stack([np.interp(at, distance, axis) for axis in point.T]))
+        distances = np.array([start, *inner, end])
+        pieces.append(np.column_stack([np.interp(distances, distance, axis) for axis in point.T]))
     return pieces
 
 
@@ -164,17 +164,17 @@ def key(samples: Sequence[Sample], width: int, frame: Canvas) -> np.ndarray:
     size = frame.text_px
     high, x, row = round(1.7 * size), size / 4, 0
     places: list[tuple[float, float, float]] = []
-    for one in samples:
-        left = one.width * frame.scale + 0.5 * size
-        end = x + left + font(size).getlength(one.text)
+    for sample in samples:
+        left = sample.width * frame.scale + 0.5 * size
+        end = x + left + font(size).getlength(sample.text)
         if places and end > width:
             row, end, x = row + 1, end - x + size / 4, size / 4
         places.append((x, (row + 0.5) * high, x + left))
         x = end + 1.3 * size
     image = Image.new("RGB", (width, (row + 1) * high), "white")
-    for one, (_, y, left) in zip(samples, places, strict=True):
-        ImageDraw.Draw(image).text((left, y), one.text, INK, font(size), "lm")
+    for sample, (_, y, left) in zip(samples, places, strict=True):
+        ImageDraw.Draw(image).text((left, y), sample.text, INK, font(size), "lm")
     pixels = np.array(image)
-    for one, (x, y, _) in zip(samples, places, strict=True):
-        one.draw(Canvas(pixels, frame.scale, (x, y), frame.unit, size))
+    for sample, (x, y, _) in zip(samples, places, strict=True):
+        sample.draw(Canvas(pixels, frame.scale, (x, y), frame.unit, size))
     return pixels

@@ -62,12 +62,12 @@ class Film:
     @property
     def dropped(self) -> int:
         """Number of parts that have left the plate."""
-        there = np.sum(np.isfinite(self.position[:, :, 0]), axis=1)
-        if not len(there):
+        count = np.sum(np.isfinite(self.position[:, :, 0]), axis=1)
+        if not len(count):
             return 0
         # Count positions instead of names, because the detector can give a part that was lost a new
         # name.
-        return int((len(self.ids) if self.simulated else np.max(there)) - there[-1])
+        return int((len(self.ids) if self.simulated else np.max(count)) - count[-1])
 
     @property
     def cycles(self) -> int:

@@ -243,12 +243,12 @@ def _motion_row(result: dict[str, Any]) -> tuple[str, str]:
 def _feeding_row(result: dict[str, Any]) -> tuple[str, str]:
     done = f"{result['picks']} parts taken in {result['time_s']:.0f} s"
     if result["picks"]:
-        (away, max_mm), (turned, max_deg) = result["pick_error_mm"], result["pick_error_deg"]
+        (median_mm, max_mm), (turned, max_deg) = result["pick_error_mm"], result["pick_error_deg"]
         done += (
             f" ({result['parts_per_minute']:.0f} per minute), the robot waited "
             f"{100 * result['robot_waits_share']:.1f} % of the time. The parts' errors were "
-            f"{away:.2f} mm and {turned:.1f} degrees, at most {max_mm:.2f} mm and {max_deg:.1f} "
-            "degrees"
+            f"{median_mm:.2f} mm and {turned:.1f} degrees, at most {max_mm:.2f} mm and "
+            f"{max_deg:.1f} degrees"
         )
     return (
         f"{done}; {result['picks_failed']} picks failed, {result['discharged']} parts went to the "

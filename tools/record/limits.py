@@ -90,14 +90,14 @@ def _motors(rig: Rig) -> tuple[np.ndarray, np.ndarray]:
     )
 
 
-def _points(motion: Motion, at: np.ndarray) -> list[np.ndarray]:
+def _points(motion: Motion, points: np.ndarray) -> list[np.ndarray]:
     """Return position, velocity and acceleration (n, m) of points of the plate.
 
-    `at` (m,) are the points at home. With r = e^(i theta) a and the angular velocity w:
+    `points` (m,) are the points at home. With r = e^(i theta) a and the angular velocity w:
     p = o + r, v = o' + i w r, a = o'' + (i w' - w^2) r.
     """
     pose, twist, accel = motion
-    arm = np.exp(1j * pose[:, 2:]) * at
+    arm = np.exp(1j * pose[:, 2:]) * points
     spin, spin_rate = twist[:, 2:], accel[:, 2:]
     around = (arm, 1j * spin * arm, (1j * spin_rate - spin**2) * arm)
     return [

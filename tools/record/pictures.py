@@ -264,8 +264,8 @@ class Arrows:
         """Draw arrows for forces (n, 2) at points (n, 2) [m]. `pivot` is the fraction of an arrow's
         length that is before the given point."""
         size = np.maximum(np.hypot(*force.T), self.force)
-        whole = self.length * force / size[:, None]
-        for start, arrow in zip(point - pivot * whole, whole, strict=True):
+        arrows = self.length * force / size[:, None]
+        for start, arrow in zip(point - pivot * arrows, arrows, strict=True):
             canvas.arrow(start, start + arrow, FORCE, width)
 
 
@@ -302,17 +302,20 @@ def draw_film(scene: Scene, path: Path, title: str) -> float:
     bare, views, seen = rectify_images(scene, FILM.canvas(scene), [film.images[k] for k in chosen])
     times = film.image_time[chosen]
     places = [scene.until(t)[-1] for t in times]
-    forces = [scene.forces(t, np.nan_to_num(at)) for t, at in zip(times, places, strict=True)]
+    forces = [
+        scene.forces(t, np.nan_to_num(positions))
+        for t, positions in zip(times, places, strict=True)
+    ]
     arrows = Arrows.of(np.array(forces), PART_ARROW * scene.rig.parts.radius_m)
     key, pages = FILM.key(scene, arrows), []
-    for t, at, force, view, part in zip(times, places, forces, views, seen, strict=True):
+    for t, positions, force, view, part in zip(times, places, forces, views, seen, strict=True):
         canvas = FILM.canvas(scene, bare)
         draw_task(scene, canvas)
         draw_trails(scene, canvas, t)
         canvas.pixels[part] = view[part]  # draw the parts on top of their trails
         draw_parts(scene, canvas, t, faces=False)
-        there = np.all(np.isfinite(at), axis=1)
-        arrows.draw(canvas, at[there], force[there], 1.6, 0.0)
+        visible = np.all(np.isfinite(positions), axis=1)
+        arrows.draw(canvas, positions[visible], force[visible], 1.6, 0.0)
         life = f"{speed:.1f} x real time"
         pages.append(FILM.sheet([canvas.pixels], [scene.clock(t)], title, life, key))
     palette = pages[-1].quantize(96, dither=Image.Dither.NONE)
@@ -355,17 +358,17 @@ def draw_parts(scene: Scene, canvas: Canvas, t: float, faces: bool) -> None:
         reach = scene.rig.part_type(label).reach_m
         draw_angle(canvas, place, angle, reach, class_colour(label), dashed=True)
     for part, label in enumerate(scene.labels):
-        there = np.flatnonzero(np.all(np.isfinite(position[:, part]), axis=1))
-        if not len(there):
+        seen_at = np.flatnonzero(np.all(np.isfinite(position[:, part]), axis=1))
+        if not len(seen_at):
             continue
-        at = position[there[-1], part]
-        if there[-1] + 1 < len(position):
-            canvas.cross(at, scene.rig.part_type(label).reach_m, class_colour(label))
+        centre = position[seen_at[-1], part]
+        if seen_at[-1] + 1 < len(position):
+            canvas.cross(centre, scene.rig.part_type(label).reach_m, class_colour(label))
             continue
         angle = float(scene.film.angle[now, part])
-        draw_part(scene, canvas, label, np.append(at, angle), faces)
+        draw_part(scene, canvas, label, np.append(centre, angle), faces)
         if scene.scenario.marked:
-            draw_angle(canvas, at, angle, scene.rig.parts.radius_m, INK, dashed=False)
+            draw_angle(canvas, centre, angle, scene.rig.parts.radius_m, INK, dashed=False)
 
 
 def draw_part(scene: Scene, canvas: Canvas, label: str, pose: np.ndarray, face: bool) -> None:
@@ -396,8 +399,8 @@ def draw_angle(
     along, ray = np.array([np.cos(angle), np.sin(angle)]), REQUESTED_RAY if dashed else TRUE_RAY
     canvas.line(centre + radius * np.outer([1.0, ray], along), colour, 2, dashed)
     side = [-BESIDE if along[0] > 0.1 else BESIDE, 0.0]
-    at = centre + radius * (np.array(side) if not dashed else (ray + 1.5) * along)
-    canvas.write(at, f"{(np.degrees(angle) + 180) % 360 - 180:.0f}°")
+    text_place = centre + radius * (np.array(side) if not dashed else (ray + 1.5) * along)
+    canvas.write(text_place, f"{(np.degrees(angle) + 180) % 360 - 180:.0f}°")
 
 
 def samples(scene: Scene, arrows: Arrows, frame: Canvas) -> list[Sample]:
@@ -435,8 +438,8 @@ def class_sample(scene: Scene, label: str, radius: float) -> Sample:
     radius [m]."""
     colour = class_colour(label)
     wide, labels = 6 * radius, [f"{label}: part, trail"]
-    target = label in [one for one, _ in scene.targets]
-    path = label in [one for one, _ in scene.paths]
+    target = label in [name for name, _ in scene.targets]
+    path = label in [name for name, _ in scene.paths]
     labels += ["target"] * target + ["path"] * path
 
     def draw(canvas: Canvas) -> None:

@@ -113,9 +113,9 @@ def one_part_line(rig: Rig) -> str:
 
 def task_lines(rig: Rig, scenario: Scenario) -> tuple[list[str], bool]:
     """Return the lines about a scenario, and whether the task is likely to succeed."""
-    for kind, what in NOT_REHEARSED.items():
+    for kind, reason in NOT_REHEARSED.items():
         if isinstance(scenario.task, kind):
-            return [f"{scenario.name}: unknown: {what}"], False
+            return [f"{scenario.name}: unknown: {reason}"], False
     try:
         verdict = rehearse_task(rig, scenario)
     except PlateError as error:

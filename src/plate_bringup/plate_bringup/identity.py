@@ -175,10 +175,10 @@ def libraries_of(module: str) -> dict[str, str]:
         name for path in _module_files(module).values() for name in _find_imports_and_paths(path)[0]
     }
     among = packages_distributions() if names else {}
-    own = {f"plate_{name}" for name in PACKAGES}
+    project = {f"plate_{name}" for name in PACKAGES}
     return {
         label: version(label)
-        for name in sorted(names - own & set(among))
+        for name in sorted(names - project & set(among))
         for label in among.get(name, ())
     }
 

@@ -470,11 +470,11 @@ class Direct:
         played, began, end = self.running, self.began, self._timeline.end
         until = until if until < end - MOMENT_S else end
         begin, stop = self.now - began, min(until - began, played.period)
-        whole = begin == 0 and stop == played.period
+        is_complete = begin == 0 and stop == played.period
         self.now = min(until, end)
         if self.now == end:
             self._timeline = self._timeline.next()
-        return [played if whole else PlateMotion.piece(played, begin, stop)]
+        return [played if is_complete else PlateMotion.piece(played, begin, stop)]
 
 
 def run(
@@ -497,7 +497,7 @@ def run(
     scene = scene or SimulatedScene(setup, scenario, rig)
     planner = Planner(rig, scenario, replace(setup.planner, image_age_s=setup.image_age_s))
     state = planner.start(planner.initial())
-    own = load_planner(setup.own_planner, rig) if setup.own_planner else None
+    own_planner = load_planner(setup.own_planner, rig) if setup.own_planner else None
     controller = Controller(rig, setup.method, setup.seed, **setup.effort)
     free = setup.disturbances.image_rate > 0
     shots = scene.shots(line.now)
@@ -533,8 +533,10 @@ def run(
             expected = predicted(request, state)
             # The result of a task is confirmed with an image that is taken at rest. For this image,
             # the request of a user's planner is ignored.
-            if own is not None and not state.task.held(state.estimator.stamp, planner.limits):
-                request = own.plan(parts, began)
+            if own_planner is not None and not state.task.held(
+                state.estimator.stamp, planner.limits
+            ):
+                request = own_planner.plan(parts, began)
                 if not isinstance(request, CycleRequest):
                     raise PlateError(
                         f"planner {setup.own_planner}: plan() returned a {type(request).__name__}, "
@@ -593,14 +595,14 @@ def _true_errors(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the true distances of the parts from their references or targets (P,) [m], and in a
     pose task their angle errors (P,) [rad]. An array is empty if its errors are not defined."""
-    task, true, none = scenario.task, world.position, np.zeros(0)
+    task, true, empty = scenario.task, world.position, np.zeros(0)
     if not len(true):
-        return none, none
+        return empty, empty
     if isinstance(task, AssembleTask):
         distance = Assembler(task, rig).distance(Parts.make(world.ids, true))
-        return distance[~np.isnan(distance)], none
+        return distance[~np.isnan(distance)], empty
     if state.memory is None:
-        return none, none
+        return empty, empty
     if isinstance(task, PoseTask):
         missing = Poser(task, rig).errors(
             state.memory, _nearest_true_parts(parts, state.memory.match, world)
@@ -610,10 +612,10 @@ def _true_errors(
         true_parts = _nearest_true_parts(parts, tuple(target.id for target in task.targets), world)
         place = {target.id: target.place for target in task.targets}
         goal = np.array([place[name] for name in true_parts.ids]).reshape(-1, 2)
-        return np.hypot(*(true_parts.position - goal).T), none
+        return np.hypot(*(true_parts.position - goal).T), empty
     # Before the reference paths of a follow task start, there are no errors.
     if not isinstance(task, FollowTask) or state.memory.leading:
-        return none, none
+        return empty, empty
     reference = Follower(task, rig).reference(state.memory, t)
     seen = dict(zip(parts.ids, parts.position, strict=True))
     errors = []
@@ -621,7 +623,7 @@ def _true_errors(
         if name in seen:
             nearest = np.argmin(np.sum((true - seen[name]) ** 2, axis=1))
             errors.append(np.linalg.norm(true[nearest] - reference[k]))
-    return np.array(errors), none
+    return np.array(errors), empty
 
 
 def _nearest_true_parts(parts: Parts, names: tuple[str, ...], world: WorldState) -> Parts:
@@ -649,11 +651,11 @@ def is_fulfilled(task: Task, rig: Rig, moment: Moment, error: np.ndarray) -> boo
         return float(np.max(np.nan_to_num(Sorter(task, rig).to_go(true)))) <= POSITION_ERROR_M
     if isinstance(task, FollowTask):
         return float(np.max(error, initial=0.0)) <= task.max_error_m + POSITION_ERROR_M
-    there = float(np.max(moment.error_m, initial=0.0)) <= task.tolerance_m + POSITION_ERROR_M
+    at_targets = float(np.max(moment.error_m, initial=0.0)) <= task.tolerance_m + POSITION_ERROR_M
     if isinstance(task, PoseTask):
         turned = float(np.max(moment.turn_error, initial=0.0))
-        there = there and turned <= task.tolerance_rad + ANGLE_ERROR_RAD
-    return there
+        at_targets = at_targets and turned <= task.tolerance_rad + ANGLE_ERROR_RAD
+    return at_targets
 
 
 def summary(setup: Setup, rig: Rig, transport: Transport | None = None) -> dict[str, object]:

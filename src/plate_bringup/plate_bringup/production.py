@@ -256,10 +256,10 @@ class Production:
 def percentiles(values: Sequence[float], unit: float) -> tuple[float, float, float]:
     """Return the median, the 95th percentile and the maximum of the finite values, multiplied by
     `unit`. If no value is finite, return NaN."""
-    there = unit * np.array([value for value in values if np.isfinite(value)])
-    if not len(there):
+    finite = unit * np.array([value for value in values if np.isfinite(value)])
+    if not len(finite):
         return (np.nan, np.nan, np.nan)
-    return (float(np.median(there)), float(np.percentile(there, 95)), float(np.max(there)))
+    return (float(np.median(finite)), float(np.percentile(finite, 95)), float(np.max(finite)))
 
 
 class FeederCell:

@@ -129,8 +129,8 @@ def qualified(
     """
     setups = [Setup(filled(recipe, fill), seed) for seed in seeds]
     runs = [
-        produce(one, cycle_s, time_s, rig, lambda cell, one=one: note(one.seed, cell))  # type: ignore[misc]
-        for one in setups
+        produce(setup, cycle_s, time_s, rig, lambda cell, setup=setup: note(setup.seed, cell))  # type: ignore[misc]
+        for setup in setups
     ]
     return Row(fill, tuple(runs))
 

@@ -101,7 +101,10 @@ class Verdict(NamedTuple):
     @property
     def in_time(self) -> int:
         """Number of rehearsals that succeeded within the time limit and lost no part."""
-        return sum(one.time_s <= self.time_limit_s and not one.lost for one in self.rehearsals)
+        return sum(
+            rehearsal.time_s <= self.time_limit_s and not rehearsal.lost
+            for rehearsal in self.rehearsals
+        )
 
     @property
     def likely(self) -> bool:
@@ -111,17 +114,17 @@ class Verdict(NamedTuple):
     @property
     def time_s(self) -> float:
         """Median of the times [s]."""
-        return float(np.median([one.time_s for one in self.rehearsals]))
+        return float(np.median([rehearsal.time_s for rehearsal in self.rehearsals]))
 
     @property
     def speed(self) -> float:
         """Median of the parts' speeds, at least 0 [m/s]."""
-        return max(float(np.median([one.speed for one in self.rehearsals])), 0.0)
+        return max(float(np.median([rehearsal.speed for rehearsal in self.rehearsals])), 0.0)
 
     @property
     def limit_use(self) -> LimitUse:
         """Medians of the used fractions of the limits."""
-        return LimitUse(*np.median([one.limit_use for one in self.rehearsals], axis=0))
+        return LimitUse(*np.median([rehearsal.limit_use for rehearsal in self.rehearsals], axis=0))
 
 
 def rehearse_task(rig: Rig, scenario: Scenario, rehearsals: int = REHEARSALS) -> Verdict:

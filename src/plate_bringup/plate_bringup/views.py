@@ -75,9 +75,9 @@ def view_from(
     near, far = NEAREST_M, FARTHEST_M
     for _ in range(HALVINGS if distance_m == 0 else 0):
         half = (near + far) / 2
-        there = project_corners(half)
+        seen_px = project_corners(half)
         low, high = MARGIN_PX, size - 1 - MARGIN_PX
-        inside = there is not None and np.all((there >= low) & (there <= high))
+        inside = seen_px is not None and np.all((seen_px >= low) & (seen_px <= high))
         near, far = (near, half) if inside else (half, far)
     seen = project_corners(distance_m or far)
     if seen is None:

@@ -79,7 +79,9 @@ def _interrupted(number: int, frame: FrameType | None) -> None:
 
 
 def _arguments() -> argparse.Namespace:
-    lines = "\n".join(f"  {name:15}{what}" for name, what in (SERVICES | OTHERS).items())
+    lines = "\n".join(
+        f"  {name:15}{description}" for name, description in (SERVICES | OTHERS).items()
+    )
     parser = argparse.ArgumentParser(
         prog="plate", usage="plate COMMAND [--namespace NAME]",
         description="Control the plate's nodes, which run in the ROS domain of "
@@ -87,24 +89,24 @@ def _arguments() -> argparse.Namespace:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )  # fmt: skip
     commands = parser.add_subparsers(dest="command", required=True, help=argparse.SUPPRESS)
-    for name, what in (SERVICES | OTHERS).items():
-        one = commands.add_parser(name, description=what)
+    for name, description in (SERVICES | OTHERS).items():
+        command = commands.add_parser(name, description=description)
         # the node is optional here, because the error text for a missing node lists all nodes
         if name in ("get", "set", "params"):
-            one.add_argument("node", nargs="?", metavar="NODE")
+            command.add_argument("node", nargs="?", metavar="NODE")
         if name in ("get", "set"):
-            one.add_argument("name", nargs="?", metavar="NAME")
+            command.add_argument("name", nargs="?", metavar="NAME")
         if name == "call":
-            one.add_argument("service", metavar="SERVICE")
+            command.add_argument("service", metavar="SERVICE")
         if name == "friction":
-            one.add_argument(
+            command.add_argument(
                 "--write", action="store_true", help="write the result without confirmation"
             )
         if name == "goal":
-            one.add_argument("scenario", metavar="SCENARIO")
+            command.add_argument("scenario", metavar="SCENARIO")
         if name == "set":
-            one.add_argument("value", nargs="?", metavar="VALUE")
-        one.add_argument("--namespace", default="", help="namespace of the nodes")
+            command.add_argument("value", nargs="?", metavar="VALUE")
+        command.add_argument("--namespace", default="", help="namespace of the nodes")
     arguments = sys.argv[1:]
     if arguments and arguments[0] not in (*SERVICES, *OTHERS, "-h", "--help"):
         from plate_core import did_you_mean

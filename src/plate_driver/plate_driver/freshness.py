@@ -97,11 +97,11 @@ class Freshness:
         clock_ns : int
             The same time on the clock that stamps images [ns].
         """
-        away, why = now - self.updated_at, ""
+        stalled_s, why = now - self.updated_at, ""
         if number is not None and number != self.number:
             why = "the motors became ready"
-        elif number is not None and away > STALL_S:
-            why = f"the driver was stalled for {away:.1f} s"
+        elif number is not None and stalled_s > STALL_S:
+            why = f"the driver was stalled for {stalled_s:.1f} s"
         new = replace(self, number=number, updated_at=now)
         return replace(new, since_ns=clock_ns, why=why) if why else new
 
@@ -117,7 +117,9 @@ class Freshness:
     def with_cycle(self, source: bytes, now: float) -> Freshness:
         """Record that publisher `source` sent a cycle, moving or at rest, at `now` [s, steady
         clock]."""
-        recent = {key: at for key, at in self.last_cycles.items() if now - at < ALONE_S}
+        recent = {
+            key: arrival for key, arrival in self.last_cycles.items() if now - arrival < ALONE_S
+        }
         return replace(self, last_cycles=recent | {source: now})
 
     def remaining_s(self, stamp_ns: int, clock_ns: int, period: float) -> float:

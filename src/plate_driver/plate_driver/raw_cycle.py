@@ -47,19 +47,19 @@ def _read_point_count(data: bytes) -> int | None:
     if len(data) < 4 or data[0] != 0 or data[1] not in (0, 1):
         return None
     order = "<" if data[1] == 1 else ">"
-    body, at = memoryview(data)[4:], 8  # after the stamp
+    body, offset = memoryview(data)[4:], 8  # after the stamp
 
     def read_number() -> int:
-        nonlocal at
-        at += -at % 4
-        value: int = struct.unpack_from(order + "I", body, at)[0]
-        at += 4
+        nonlocal offset
+        offset += -offset % 4
+        value: int = struct.unpack_from(order + "I", body, offset)[0]
+        offset += 4
         return value
 
     def skip_text() -> None:
-        nonlocal at
+        nonlocal offset
         length = read_number()
-        at += length
+        offset += length
 
     try:
         skip_text()  # frame_id

@@ -30,7 +30,11 @@ class TransportProblems:
 
         `motors_rest` states whether the motors played no table at the last measurement.
         """
-        self._logged = {p: at for p, at in self._logged.items() if at > now - self._repeat_s}
+        self._logged = {
+            p: logged_at
+            for p, logged_at in self._logged.items()
+            if logged_at > now - self._repeat_s
+        }
         if problems and motors_rest and self._unplayed is None:
             self._unplayed = now, problems[0]
         new = [problem for problem in dict.fromkeys(problems) if problem not in self._logged]

@@ -186,9 +186,9 @@ class Dialogue:
     def _read_serial_number(self, drive: Drive) -> int:
         """Return a drive's serial number. If several drives report the same number, return the
         number in the rig file."""
-        serials = [one.values.get("serial", 0) for one in self._nodes.values()]
-        own = self._nodes[drive.node].values.get("serial", 0)
-        return own if serials.count(own) == 1 else drive.serial
+        serials = [drive_on_bus.values.get("serial", 0) for drive_on_bus in self._nodes.values()]
+        serial = self._nodes[drive.node].values.get("serial", 0)
+        return serial if serials.count(serial) == 1 else drive.serial
 
     def _swing_motor(self, axis: Axis, size: float, limits: Limits) -> None:
         """Move the motor along a sine within the limits, and print the following error."""

@@ -116,36 +116,40 @@ def bus_warnings(
     for number, drive in enumerate(drives, 1):
         for text in _compare_drive(number, drive, found):
             yield RigWarning("motors", text, True)
-        one = found.get(drive.node)
-        for text, wrong in _compare_limits(drive, one, rig.limits) if one and one.is_drive else ():
+        drive_on_bus = found.get(drive.node)
+        for text, wrong in (
+            _compare_limits(drive, drive_on_bus, rig.limits)
+            if drive_on_bus and drive_on_bus.is_drive
+            else ()
+        ):
             yield RigWarning("limits", f"motor_{number}: {text}", wrong)
     for node in sorted(set(found) - {drive.node for drive in drives}):
         yield RigWarning("bus", f"node {node} is on the bus but not in the rig file")
 
 
 def _compare_drive(number: int, drive: Drive, found: Mapping[int, BusNode]) -> Iterator[str]:
-    name, node, one = f"motor_{number}", drive.node, found.get(drive.node)
+    name, node, drive_on_bus = f"motor_{number}", drive.node, found.get(drive.node)
     same = [k for k, n in found.items() if drive.serial and n.values.get("serial") == drive.serial]
     swapped = f"; the serial number of the rig file is at node {same[0]}" if same else ""
-    if one is None:
+    if drive_on_bus is None:
         others = ", ".join(map(str, sorted(found))) or "none"
         yield f"{name}: node {node} does not answer, nodes on the bus: {others}{swapped}"
         return
     device, modes, serial, status, code, register = (
-        one.values.get(name, 0)
+        drive_on_bus.values.get(name, 0)
         for name in ("device type", "modes", "serial", "status", "error", "register")
     )
-    if one.twice:
+    if drive_on_bus.twice:
         yield trouble_text(number, Trouble.TWICE)
-    if not one.is_drive:
+    if not drive_on_bus.is_drive:
         yield f"{name}: node {node} has device type {device:X}h, allowed: profile {PROFILE}"
         return
     if not modes & CYCLIC_POSITION:
         yield f"{name}: modes 6502h are {modes:X}h, required: cyclic synchronous position"
     if drive.serial not in (0, serial):
         yield f"{name}: node {node} has serial {serial}, allowed: {drive.serial}{swapped}"
-    for needed in set(NEEDED) & set(one.refusals):
-        yield f"{name}: {one.refusals[needed]}, so it cannot be controlled"
+    for needed in set(NEEDED) & set(drive_on_bus.refusals):
+        yield f"{name}: {drive_on_bus.refusals[needed]}, so it cannot be controlled"
     if is_in_fault(status):
         why = f"error code {code:04X}h{emergency_text(code)}, error register {register:02X}h"
         yield f"{trouble_text(number, Trouble.FAULT, code=status)}: {why}"
@@ -156,11 +160,13 @@ def _compare_drive(number: int, drive: Drive, found: Mapping[int, BusNode]) -> I
         )
 
 
-def _compare_limits(drive: Drive, one: BusNode, limits: Limits) -> Iterator[tuple[str, bool]]:
+def _compare_limits(
+    drive: Drive, drive_on_bus: BusNode, limits: Limits
+) -> Iterator[tuple[str, bool]]:
     """Yield a text about each limit of the drive that is missing, or that is stricter than the
     limits of the rig. Also yield whether the text describes an error."""
     low, high, speed, window = (
-        one.values.get(name, 0) / drive.counts_per_m
+        drive_on_bus.values.get(name, 0) / drive.counts_per_m
         for name in ("lowest", "highest", "speed", "window")
     )
     stroke, following = limits.stroke_m, limits.following_error_m
@@ -178,7 +184,7 @@ def _compare_limits(drive: Drive, one: BusNode, limits: Limits) -> Iterator[tupl
             f"max profile velocity 607Fh is {speed:.3g} m/s (if its unit is counts/s), {need}",
             False,
         )
-    if one.values.get("window", 0) in (0, UNWATCHED):
+    if drive_on_bus.values.get("window", 0) in (0, UNWATCHED):
         yield (
             "following error window 6065h is not set, so the drive does not check its error",
             False,

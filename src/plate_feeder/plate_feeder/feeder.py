@@ -486,8 +486,8 @@ class Feeder:
             return Reply(Code.STOPPED, self._stop)
         waiting, reserved = self._waiting, self._reserved
         if waiting is not None:
-            what = "the plate is being purged" if waiting.purge else "another get_part is waiting"
-            return Reply(Code.BUSY, what)
+            text = "the plate is being purged" if waiting.purge else "another get_part is waiting"
+            return Reply(Code.BUSY, text)
         if reserved is not None and reserved.client != client:
             return Reply(Code.BUSY, "another client has reserved a part")
         return None
@@ -656,8 +656,8 @@ class Feeder:
                 (a + b) / 2 if math.isfinite(a + b) else 0.0 for a, b in zip(low, high, strict=True)
             ]
             failed = self._failures.get(part.id)
-            away = math.hypot(part.x - middle[0], part.y - middle[1])
-            return (0 if failed is None else failed.count), away, part.id
+            distance = math.hypot(part.x - middle[0], part.y - middle[1])
+            return (0 if failed is None else failed.count), distance, part.id
 
         return min(offers, key=rank)
 

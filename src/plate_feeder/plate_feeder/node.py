@@ -295,8 +295,8 @@ class FeederNode(SafeLifecycleNode[Options]):
         before, self._last_task = self._last_task, (msg.state, msg.reason)
         # task_status reports the end of a task repeatedly, but the stop of an idle planner only
         # once.
-        again = msg.state != TaskStatus.IDLE and self._last_task == before
-        if msg.reason in (TaskStatus.STOPPED, TaskStatus.DRIVER_STOPPED) and not again:
+        is_repeated = msg.state != TaskStatus.IDLE and self._last_task == before
+        if msg.reason in (TaskStatus.STOPPED, TaskStatus.DRIVER_STOPPED) and not is_repeated:
             self._stop_until_resumed(f"the planner was stopped: {msg.text}")
         self._task.on_task_status(msg)
 

@@ -179,10 +179,10 @@ class _Client:
         self._queue: asyncio.Queue[Command | tuple[Code, str]] = asyncio.Queue()
         self._waiting, self._busy = 0, False
         writer.transport.set_write_buffer_limits(high=CHUNK)
-        own: socket.socket = writer.get_extra_info("socket")
-        own.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        connection: socket.socket = writer.get_extra_info("socket")
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         for option, value in KEEPALIVE.items():
-            own.setsockopt(socket.IPPROTO_TCP, option, value)
+            connection.setsockopt(socket.IPPROTO_TCP, option, value)
 
     async def refuse(self, text: str) -> None:
         """Send a refusal to the robot, and disconnect."""

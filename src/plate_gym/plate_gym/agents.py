@@ -136,7 +136,7 @@ class Averaged(Ours):
         if not len(parts):
             return PlateCycle.rest(IDLE_S)
         types = [self._rig.part_type(part_class(name)) for name in parts.ids]
-        mu_mass = np.array([[own.mu, own.mass_kg] for own in types], float)
+        mu_mass = np.array([[part_type.mu, part_type.mass_kg] for part_type in types], float)
         limit = np.prod(mu_mass, axis=1, keepdims=True) * self._rig.friction.gravity
         place = parts.position if request.start is None else request.start[:, :2]
         force, tolerance = request.forces.force / limit, request.forces.tolerance / limit

@@ -195,8 +195,8 @@ def episodes(
                     report(f"failed: {named(agent, task, done['seed'], done['steps'])}: {failure}")
                 yield done
         except BaseException:
-            for own in found:
-                own.cancel()
+            for future in found:
+                future.cancel()
             while wait(found, 0.1).not_done:
                 isolation.stop()
             raise
@@ -265,14 +265,14 @@ def check(
     world = result["world"] if world is None else world
     chosen("world", world, WORLDS)
     report(f"agent {result['agent']}, commit {result['commit'] or 'unknown'}")
-    own = {"sources": sources(), "versions": versions(agent)}
+    present = {"sources": sources(), "versions": versions(agent)}
     if "limits" in result:
-        own |= {"limits": asdict(limits), "files": files(agent)}
-    made, here = terms(result), terms(result | own)
+        present |= {"limits": asdict(limits), "files": files(agent)}
+    made, made_here = terms(result), terms(result | present)
     differences = [
-        shortened(f"{name} is {made.get(name)} in the result, and {here.get(name)} here")
-        for name in (here | made if "limits" in result else made)
-        if made.get(name) != here.get(name)
+        shortened(f"{name} is {made.get(name)} in the result, and {made_here.get(name)} here")
+        for name in (made_here | made if "limits" in result else made)
+        if made.get(name) != made_here.get(name)
     ]
     for text in differences[:MAX_OTHER]:
         report(text)
@@ -283,8 +283,8 @@ def check(
     for task, claimed in result["tasks"].items():
         rows = {row["seed"]: row for row in claimed["rows"]}
         report(f"{task}: the result has seeds {shortened(ranges(sorted(rows)))}")
-        again = summary(claimed["rows"])
-        if {k: list(v) if isinstance(v, tuple) else v for k, v in again.items()} != claimed:
+        recomputed = summary(claimed["rows"])
+        if {k: list(v) if isinstance(v, tuple) else v for k, v in recomputed.items()} != claimed:
             wrong.append(f"{task}: the summary does not match its rows")
         run = partial(episodes, agent, task=task, workers=workers, report=report, limits=limits)
         picks = sorted(rng.permutation(np.array(list(rows), object))[:CHECKED].tolist())
@@ -295,7 +295,7 @@ def check(
                 "here"
                 for key, value in differing(rows[seed], true)
             ]
-        took, took_here = again["decision_ms"], summary(played)["decision_ms"]
+        took, took_here = recomputed["decision_ms"], summary(played)["decision_ms"]
         report(
             f"{task}: {len(picks)} seeds repeated, {len(wrong)} differences so far; {took:.3g} ms "
             f"per decision in the result, {took_here:.3g} ms here"
@@ -306,7 +306,7 @@ def check(
             report(f"{line(task, found)}, {world}, fresh seeds {ranges(sorted(seeds))}")
             (low, high), (low_again, high_again) = (
                 found["success_interval"],
-                again["success_interval"],
+                recomputed["success_interval"],
             )
             if world == result["world"] and (high < low_again or low > high_again):
                 wrong.append(
@@ -383,8 +383,8 @@ def main() -> int:
         help="maximum memory of an episode's processes (default: %(default)g GB)",
     )  # fmt: skip
     args = parser.parse_args()
-    own = ("agent", "task", "seeds", "json", "cluster", *(() if args.fresh else ("world",)))
-    given = [f"--{name}" for name in own if getattr(args, name) is not None]
+    options = ("agent", "task", "seeds", "json", "cluster", *(() if args.fresh else ("world",)))
+    given = [f"--{name}" for name in options if getattr(args, name) is not None]
     if args.check and given:
         parser.error(
             f"{', '.join(given)} is given with --check, allowed: --workers, --trust, limits, "

@@ -236,10 +236,10 @@ class PlateVectorEnv(VectorEnv):
         `others`."""
         result = dict(others or {})
         for name, values in info.items():
-            there = result.setdefault(f"_{name}", np.zeros(self.num_envs, bool))
-            whole = np.zeros((self.num_envs, *values.shape[1:]), values.dtype)
-            whole = result.setdefault(name, whole)
-            whole[rows], there[rows] = values, True
+            is_given = result.setdefault(f"_{name}", np.zeros(self.num_envs, bool))
+            zeros = np.zeros((self.num_envs, *values.shape[1:]), values.dtype)
+            zeros = result.setdefault(name, zeros)
+            zeros[rows], is_given[rows] = values, True
         return result
 
 

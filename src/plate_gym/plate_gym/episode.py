@@ -118,7 +118,7 @@ def episode(
     except BaseException as problem:
         where = named(agent, task, seed, len(spent))
         raise PlateError(f"{where}: {one_line(problem)}") from problem
-    own, wall = 1e3 * np.array(spent).T
+    cpu_ms, wall = 1e3 * np.array(spent).T
     return {
         "seed": seed,
         "success": bool(info["success"]),
@@ -132,8 +132,8 @@ def episode(
         "limit_share": used,
         "places": places.hexdigest(),
         "start_ms": 1e3 * float(start[0]),
-        "decision_ms": float(np.median(own)),
-        "decision_ms_p99": float(np.percentile(own, 99)),
+        "decision_ms": float(np.median(cpu_ms)),
+        "decision_ms_p99": float(np.percentile(cpu_ms, 99)),
         "wall_ms": float(np.median(wall)),
         "wall_ms_p99": float(np.percentile(wall, 99)),
     }

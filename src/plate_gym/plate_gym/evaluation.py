@@ -221,8 +221,8 @@ class TaskEvaluator:
         if isinstance(self._rules, Poser):
             return self._rules.begin(parts)
         if isinstance(self._rules, Follower):
-            none = np.zeros(len(parts))
-            memory = Followed(self._rules.begin(parts, START_S), 0.0, none)
+            zero = np.zeros(len(parts))
+            memory = Followed(self._rules.begin(parts, START_S), 0.0, zero)
             return self.update(memory, world, 0.0, running)
         if isinstance(self._rules, Feeder):
             return self.update(Feeding(self._rules.task, self._rig), world, 0.0, running)
@@ -293,9 +293,9 @@ class TaskEvaluator:
         labels = [part_class(name) for name in names]
         reaches = {label: self._rig.part_type(label).reach_m for label in set(labels)}
         reach = np.array([reaches[label] for label in labels])
-        there = (error <= near_m) & (angle <= near_rad)
+        reached = (error <= near_m) & (angle <= near_rad)
         to_go, never = np.sum(error + reach * angle, axis=1), np.zeros(len(states), bool)
-        return Score(error, angle, there, to_go, np.all(there, axis=1), never)
+        return Score(error, angle, reached, to_go, np.all(reached, axis=1), never)
 
 
 def _evaluate_paths(rules: Follower, memories: list[Memory], states: list[WorldState]) -> Score:
@@ -309,20 +309,20 @@ def _evaluate_paths(rules: Follower, memories: list[Memory], states: list[WorldS
         rms[row] = np.sqrt(memory.square_m2 * len(follow.match) / follow.samples)
         now[row] = rules.errors(follow, _parts(state), time)
         to_go[row], at_end[row] = rules.to_go(follow, time), rules.finished(follow, time)
-    there = now <= rules.task.max_error_m + POSITION_ERROR_M
-    kept = np.all(there, axis=1)
-    return Score(rms, np.zeros(shape), there, to_go, at_end & kept, ~kept)
+    reached = now <= rules.task.max_error_m + POSITION_ERROR_M
+    kept = np.all(reached, axis=1)
+    return Score(rms, np.zeros(shape), reached, to_go, at_end & kept, ~kept)
 
 
 def _evaluate_feeding(rules: Feeder, memories: list[Memory]) -> Score:
     """Evaluate a feed task on N plates."""
-    none = np.zeros((len(memories), rows_of(rules.task)))
+    zero = np.zeros((len(memories), rows_of(rules.task)))
     never = np.zeros(len(memories), bool)
     fed = [memory for memory in memories if isinstance(memory, Feeding)]
     picks = np.array([each.made.picks for each in fed])
     over = np.array([each.time >= FEED_S - ROUNDING_S for each in fed])
     enough = picks >= ENOUGH * MAX_PICKS
-    return Score(none, none, picks[:, None], MAX_PICKS - picks, over & enough, never)
+    return Score(zero, zero, picks[:, None], MAX_PICKS - picks, over & enough, never)
 
 
 def _situation(parts: Parts, time: float, period: float, tail: float = 0.0) -> Situation:

@@ -63,18 +63,18 @@ class Motions:
             y and theta. If one value is 1 and all others are 0, the motion just reaches a limit. If
             the motion for several values exceeds a limit, all values of the action are scaled down.
         """
-        own = self.scale * actions.reshape(len(actions), -1, 3)
-        used = self._use(own)
+        coefficients = self.scale * actions.reshape(len(actions), -1, 3)
+        used = self._use(coefficients)
         # The utilisation of the limits is not exactly proportional to the coefficients, because
         # rotations have a quadratic effect. Therefore the scaling is repeated. Usually one
         # repetition is sufficient.
         while (beyond := used > CYCLE_USE).any():
-            own[beyond] *= (CYCLE_USE**2 / used[beyond])[:, None, None]
-            used[beyond] = self._use(own[beyond])
-        return self.basis.cycles(own), used
+            coefficients[beyond] *= (CYCLE_USE**2 / used[beyond])[:, None, None]
+            used[beyond] = self._use(coefficients[beyond])
+        return self.basis.cycles(coefficients), used
 
-    def _use(self, own: np.ndarray) -> np.ndarray:
+    def _use(self, coefficients: np.ndarray) -> np.ndarray:
         """Return the fractions of the rig's limits (N,) that N motions with the coefficients (N, h,
         3) use. Each fraction is an upper bound over all limits."""
-        pose, twist, accel = (bound @ own for bound in self._bounds)
+        pose, twist, accel = (bound @ coefficients for bound in self._bounds)
         return limit_uses(pose, twist, accel, EQUAL_WEIGHT, self._limits, False)

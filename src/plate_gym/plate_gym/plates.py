@@ -168,14 +168,14 @@ class Plate:
         parts, state = self.simulation.visible_parts(), self.simulation.state
         if parts is None:
             return None
-        there = parts.seen & state.on_plate
+        visible = parts.seen & state.on_plate
         if not self._shared.evaluator.feeds:
-            return parts.position, parts.angle, there
+            return parts.position, parts.angle, visible
         rows = np.array([state.ids.index(name) if name else -1 for name in self.ids])
         return (  # the appended entry at index -1 is the value of empty rows
             np.append(parts.position, [[0.0, 0.0]], axis=0)[rows],
             np.append(parts.angle, 0.0)[rows],
-            np.append(there, False)[rows],
+            np.append(visible, False)[rows],
         )
 
     def answer(self, action: Any) -> tuple[PlateCycle, float, bool]:
@@ -362,10 +362,10 @@ class Plates:
         if not captured:
             return
         visible = zip(*(parts for _, parts in captured), strict=True)
-        position, angle, there = map(np.array, visible)
+        position, angle, is_seen = map(np.array, visible)
         noise = np.empty((*angle.shape, 3))
-        for (plate, _), own in zip(captured, noise, strict=True):
-            plate.noise.standard_normal(out=own)
+        for (plate, _), row in zip(captured, noise, strict=True):
+            plate.noise.standard_normal(out=row)
         time = np.array([plate.time for plate, _ in captured])[:, None, None]
         before = np.array([plate.seen for plate, _ in captured])
         now = np.empty_like(before)
@@ -374,7 +374,7 @@ class Plates:
         angle = angle + ANGLE_NOISE * noise[..., 2]
         now[..., 4] = (angle + np.pi) % (2 * np.pi) - np.pi
         now[..., 5:] = time
-        now = np.where(there[..., None], now, before)
+        now = np.where(is_seen[..., None], now, before)
         for (plate, _), seen in zip(captured, now, strict=True):
             plate.seen = seen
 
@@ -401,8 +401,8 @@ class Plates:
             return np.array(
                 [memory.made.lost for memory in memories if isinstance(memory, Feeding)]
             )
-        there = np.array([plate.simulation.state.on_plate for plate in plates])
-        return np.count_nonzero(~there, axis=1)
+        on_plate = np.array([plate.simulation.state.on_plate for plate in plates])
+        return np.count_nonzero(~on_plate, axis=1)
 
     def _labels(self) -> tuple[str, ...]:
         """Return the classes of the parts by row (M,). In a feed task, all rows have the same

@@ -65,16 +65,16 @@ def module_of(agent: str) -> str:
 def commit() -> str:
     """Return the git commit of this project. Return an empty text if git does not track this
     file."""
-    here = Path(__file__).resolve()
+    this_file = Path(__file__).resolve()
     git = partial(
-        subprocess.run, cwd=here.parent, capture_output=True, text=True, check=True, timeout=60
+        subprocess.run, cwd=this_file.parent, capture_output=True, text=True, check=True, timeout=60
     )
     try:
         top = Path(git(["git", "rev-parse", "--show-toplevel"]).stdout.strip())
         # compare with the source file, because the build copies this file to install/
-        kept = top / "src/plate_gym/plate_gym" / here.name
+        kept = top / "src/plate_gym/plate_gym" / this_file.name
         git(["git", "ls-files", "--error-unmatch", str(kept)])
-        same = kept.read_bytes() == here.read_bytes()
+        same = kept.read_bytes() == this_file.read_bytes()
         return str(git(["git", "describe", "--always", "--dirty"]).stdout.strip()) if same else ""
     except (OSError, subprocess.SubprocessError):
         return ""

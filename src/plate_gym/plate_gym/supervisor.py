@@ -163,8 +163,8 @@ class Episode:
         return max(0, self._decisions - 1)
 
     def _where(self) -> str:
-        own = self._request
-        return named(own["agent"], own["task"], own["seed"], self._steps)
+        request = self._request
+        return named(request["agent"], request["task"], request["seed"], self._steps)
 
     def _note(self, text: str) -> None:
         _print(f"note: {self._where()}: {text}\n".encode())
@@ -201,9 +201,13 @@ class Episode:
                 os._exit(0)
 
     def _result(self, beat: Callable[[], object]) -> dict[str, Any]:
-        own = self._request
+        request = self._request
         try:
-            return {"row": episode(own["agent"], own["world"], own["task"], own["seed"], beat)}
+            return {
+                "row": episode(
+                    request["agent"], request["world"], request["task"], request["seed"], beat
+                )
+            }
         except PlateError as problem:
             if isinstance(problem.__cause__, MemoryError):
                 return {"failure": self._too_large()}

@@ -89,9 +89,9 @@ class CompileKernels(build_ext):
 
     def _object(self, include: list[str], places: dict[str, Path], source: Path) -> str:
         made = Path(self.build_temp, re.sub(r"[^\w]+", "_", str(source))).with_suffix(".o")
-        own = ("-Os", "-w") if source.name == "nb_combined.cpp" else WARNINGS
+        flags = ("-Os", "-w") if source.name == "nb_combined.cpp" else WARNINGS
         compiler = os.environ.get("CXX", "c++").split()
-        command = [*compiler, *OPTIONS, *own, *os.environ.get("CXXFLAGS", "").split()]
+        command = [*compiler, *OPTIONS, *flags, *os.environ.get("CXXFLAGS", "").split()]
         python = [sys.version, sysconfig.get_path("include")]
         first = cache.key_of(*command, *python, _compiler(*command), _named(str(source), places))
         folders = [Path(self.build_temp, "kept"), cache.of_user()]
@@ -141,7 +141,7 @@ def _key(first: str, read: bytes, places: dict[str, Path], since: float = math.i
     that the compiler has read. The result is empty if a file is missing or has changed after the
     time `since`, because the compiler may have read an earlier content."""
     lines = (line.partition("//") for line in os.fsdecode(read).split("\n"))
-    files = [Path(places[at], name) for at, _, name in lines]
+    files = [Path(places[index], name) for index, _, name in lines]
     try:
         states = [file.stat() for file in files]
         if any(since < max(s.st_mtime, s.st_ctime) <= time.time() for s in states):

@@ -285,16 +285,16 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         # In lockstep, the same image may arrive twice: before and after a goal. For an image before
         # the goal, the driver accepts only a cycle at rest. Therefore the task begins with the next
         # image.
-        again = self._lockstep.enabled and (
+        answers_again = self._lockstep.enabled and (
             self._tasks.seen_without_task(seconds(stamp))
             or self._lockstep.precedes_goal(nanoseconds(stamp))
         )
-        if run is not None and not again:
+        if run is not None and not answers_again:
             self._publish_task_request(
                 run, stamp, lambda run: self._tasks.plan(run, parts, seconds(stamp))
             )
             return
-        if not again:
+        if not answers_again:
             self._tasks.see(parts, seconds(stamp))
         self._publish_request(NOTHING, stamp)
 

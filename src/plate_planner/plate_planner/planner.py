@@ -348,13 +348,13 @@ class Planner:
         """Compute the request for the next cycle from the images that were recorded so far. The
         returned values are the same as in `plan`."""
         estimator = state.estimator
-        there, last = estimator.parts, state.last
+        parts, last = estimator.parts, state.last
         if self.rules.open_ended:  # in an open-ended task, parts may be removed at any time
-            there = self._remove_duplicates(there, estimator.seen)
+            parts = self._remove_duplicates(parts, estimator.seen)
         else:
-            there = self._remove_duplicates(there, estimator.seen, NAMELESS)
-            last = self._update_last_seen(last, there, estimator.stamp)
-        present = without_surplus(self._on_plate(there), self._labels)
+            parts = self._remove_duplicates(parts, estimator.seen, NAMELESS)
+            last = self._update_last_seen(last, parts, estimator.stamp)
+        present = without_surplus(self._on_plate(parts), self._labels)
         state = replace(state, last=last, due=np.inf)
         state, assessment = self._advance_task(state, present)
         request = NOTHING
@@ -394,8 +394,8 @@ class Planner:
         if not any(missing):
             return parts
         reach = np.array([self.rig.part_type(each).reach_m for each in label])
-        away = np.hypot(*(parts.position[:, None] - seen.position[None]).transpose(2, 0, 1))
-        double = np.array(missing) & np.any(away < reach[:, None], axis=1)
+        distance = np.hypot(*(parts.position[:, None] - seen.position[None]).transpose(2, 0, 1))
+        double = np.array(missing) & np.any(distance < reach[:, None], axis=1)
         return parts.take(np.flatnonzero(~double)) if np.any(double) else parts
 
     def _update_last_seen(
@@ -404,7 +404,7 @@ class Planner:
         """Return the last position and stamp of each part. If a part has left the plate, its first
         position outside the plate is used instead."""
         half = self.rig.plate.half
-        off = {name for name, at in before.items() if np.any(np.abs(at.position) > half)}
+        off = {name for name, last in before.items() if np.any(np.abs(last.position) > half)}
         on = np.all(np.abs(parts.position) <= half, axis=1)
         seen = zip(parts.ids, parts.position.tolist(), on, strict=True)
         now = {i: LastSeen((x, y), t) for i, (x, y), back in seen if back or i not in off}
@@ -418,8 +418,8 @@ class Planner:
         seen = set(state.estimator.seen.ids)
         # parts that the task does not move cannot prevent the start of the task
         own_ids = self._task_ids(parts.ids)
-        again = comes_and_goes or self._task_ids(state.known) == own_ids <= seen
-        task = begin(state.task, t, missing, again, self.limits, self.others(parts))
+        is_agreed = comes_and_goes or self._task_ids(state.known) == own_ids <= seen
+        task = begin(state.task, t, missing, is_agreed, self.limits, self.others(parts))
         estimator = self._update_drift_bias(state, parts, task.active and not state.task.active)
         now = self._make_situation(estimator, state, parts, task.active)
         memory, assessment = self.rules.assess(state.memory, now)

@@ -320,11 +320,11 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         self._timeline = Timeline.at_rest(options.idle_period)
         self._tally = Tally()
         self._driver: DriverStatus | None = None  # last status, if the driver moves the plate
-        what, topic = "motor table", "motor_setpoints"
+        source, topic = "motor table", "motor_setpoints"
         advice = "check that the driver is active and the computer is fast enough"
         if self._driven:
-            what, topic, advice = "motion", "motor_motion", "check that the device runs"
-        self._input = Input(what, topic, advice, options.input_timeout_s, time.monotonic())
+            source, topic, advice = "motion", "motor_motion", "check that the device runs"
+        self._input = Input(source, topic, advice, options.input_timeout_s, time.monotonic())
         if not self._simulated_time:
             self._next_ns = Clock(clock_type=ClockType.SYSTEM_TIME).now().nanoseconds
         self._time_ns = self._moved_ns = self._next_ns
@@ -694,7 +694,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
     def _publish_truth(self) -> None:
         state = self._simulation.state
         on = state.on_plate
-        ids = tuple(name for name, there in zip(state.ids, on, strict=True) if there)
+        ids = tuple(name for name, on_plate in zip(state.ids, on, strict=True) if on_plate)
         truth = Parts.make(
             ids, state.position[on], state.velocity[on], angle=state.angle[on], spin=state.spin[on]
         )

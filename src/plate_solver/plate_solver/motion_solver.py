@@ -40,10 +40,12 @@ def check_options(options: object, **ranges: tuple[float, float]) -> None:
     """
     for name, (low, high) in ranges.items():
         value = getattr(options, name)
-        whole = isinstance(low, int)
-        numeric = isinstance(value, int if whole else int | float) and not isinstance(value, bool)
+        is_integer = isinstance(low, int)
+        numeric = isinstance(value, int if is_integer else int | float) and not isinstance(
+            value, bool
+        )
         if not numeric or not low <= value <= high:
-            allowed = f"{low:g} to {high:g}" + (", a whole number" if whole else "")
+            allowed = f"{low:g} to {high:g}" + (", a whole number" if is_integer else "")
             raise PlateError(f"{name} is {value!r}, allowed: {allowed}")
 
 

@@ -143,8 +143,8 @@ def friction_accel(rig: Rig, request: CycleRequest) -> np.ndarray:
     """
     types = part_types(rig, request.parts.ids)
     known = request.parts.friction_limit / np.array([t.mass_kg for t in types])
-    own = np.array([t.mu for t in types]) * rig.friction.gravity
-    return np.where(known > 0, known, own)
+    of_type = np.array([t.mu for t in types]) * rig.friction.gravity
+    return np.where(known > 0, known, of_type)
 
 
 def contact_spread(types: list[PartType], angle: np.ndarray) -> np.ndarray:

@@ -148,12 +148,14 @@ class PageNode(SafeLifecycleNode[Options]):
     def _list_scenarios(self) -> Scene:
         """Return the scenarios that this rig can execute, and the contents of their files."""
         found = {}
-        own = (
+        own_files = (
             [self.options.scenario] if self.options.scenario not in ("", *scenario_names()) else []
         )
-        for name in [*own, *scenario_names()]:
+        for name in [*own_files, *scenario_names()]:
             with contextlib.suppress(PlateError):
-                path = Path(name) if name in own else config_path("scenarios") / f"{name}.yaml"
+                path = (
+                    Path(name) if name in own_files else config_path("scenarios") / f"{name}.yaml"
+                )
                 fields = read_yaml(path, PlateError)
                 scenario = read_scenario(fields, path.stem, path.parent)
                 check_scenario(scenario, self._rig)
@@ -169,8 +171,8 @@ class PageNode(SafeLifecycleNode[Options]):
     def _on_slow_tick_timer(self) -> None:
         # check repeatedly, because a simulator may start or end at any time
         if self._server is not None:
-            there = self.count_services(self.resolve_service_name("simulator/reset"))
-            self._server.hello["simulator"] = bool(there)
+            simulators = self.count_services(self.resolve_service_name("simulator/reset"))
+            self._server.hello["simulator"] = bool(simulators)
         if self._listener is not None:
             self._listener.tick_slowly()
         self._publish_replay()

@@ -93,9 +93,9 @@ def parts_scene(
             {
                 "id": name, "type": part_class(name), "x": x, "y": y, "angle": angle,
                 "turns": rig.part_type(part_class(name)).symmetry > 0,
-                "sd": spread if np.all(np.isfinite(spread)) else None, "seen": bool(there),
+                "sd": spread if np.all(np.isfinite(spread)) else None, "seen": bool(is_seen),
             }
-            for name, (x, y), angle, spread, there in zip(
+            for name, (x, y), angle, spread, is_seen in zip(
                 parts.ids, _round_values(parts.position), _round_values(parts.angle),
                 _round_values(deviation, 7), seen, strict=True,
             )

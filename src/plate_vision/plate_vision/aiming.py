@@ -194,12 +194,12 @@ def edge_blur_px(image: np.ndarray, outline: Outline, field: AimField) -> float:
     calibration, along = field.vision.calibration, field.grid.along
     grey = contrast_channel(image, field.grid)
     middle, slope, bow = (column[:, None] for column in outline.edges.T)
-    away = middle + slope * along + bow * (1 - along**2)
+    edge_offset = middle + slope * along + bow * (1 - along**2)
     foot = edge_points(field.grid.half, along)
     steps = np.arange(-ESF_PX, ESF_PX + 1.0)
     blurs = []
     for edge in np.flatnonzero(outline.seen):
-        offset = away[edge, :, None] + steps / field.grid.scale[edge]
+        offset = edge_offset[edge, :, None] + steps / field.grid.scale[edge]
         point = foot[edge, :, None] + offset[..., None] * OUTWARD[edge]
         x, y = calibration.to_image(point.reshape(-1, 2)).reshape(*offset.shape, 2).T
         x, y = (np.nan_to_num(each, nan=-1e4).astype(np.float32) for each in (x, y))
@@ -240,7 +240,10 @@ class Focus:
         [px] of one more image. If this stamp is not later than the last one, because the clock was
         set back, the earlier images are dropped."""
         kept = self.values if self.values and stamp > self.values[-1][0] else ()
-        values = (*(one for one in kept if one[0] > stamp - BEST_S), (stamp, sharpness))
+        values = (
+            *(measured for measured in kept if measured[0] > stamp - BEST_S),
+            (stamp, sharpness),
+        )
         focus = replace(self if kept else Focus(), values=values, blur_px=blur_px)
         lost = not focus.now >= BLURRED * focus.best
         known = math.isfinite(blur_px)
@@ -322,8 +325,8 @@ def outline_px(outline: Outline, field: AimField) -> np.ndarray:
     """Return points (m, 2) [px] on the detected edges of the plate."""
     along = np.linspace(-1, 1, EDGE_POINTS)
     middle, slope, bow = (column[:, None] for column in outline.edges.T)
-    away = middle + slope * along + bow * (1 - along**2)
-    point = edge_points(field.grid.half, along) + away[..., None] * OUTWARD[:, None]
+    edge_offset = middle + slope * along + bow * (1 - along**2)
+    point = edge_points(field.grid.half, along) + edge_offset[..., None] * OUTWARD[:, None]
     return field.vision.calibration.to_image(point[outline.seen].reshape(-1, 2))
 
 

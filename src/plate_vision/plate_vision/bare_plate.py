@@ -84,7 +84,7 @@ def know_plate(
     """
     if plate.requested:
         # `np.stack` requires equal shapes, so grey images and colour images cannot be mixed.
-        alike = [one for one in plate.images if one.shape == image.shape]
+        alike = [earlier for earlier in plate.images if earlier.shape == image.shape]
         images = (*alike, image)
         if len(images) < plate.requested:
             return replace(plate, images=images), vision, None

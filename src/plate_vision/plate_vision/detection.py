@@ -529,13 +529,13 @@ def _detect_undescribed(image: np.ndarray, region: Region) -> np.ndarray:
         grey = grey_levels(image)
         view = PartView.even(options.radius_px)
         plate = fit_light(255 - grey if bright else grey, region, options.min_plate_grey)
-        again = (
+        brighter = (
             NO_DISCS if plate is None else _find_dark_discs(plate, region, options, view)
         ).found
-        if len(again) >= len(found):
+        if len(brighter) >= len(found):
             if bright:
-                again["label"] = BRIGHT
-            return again
+                brighter["label"] = BRIGHT
+            return brighter
     parts = np.zeros(len(found), DETECTION)
     for name in ("x_px", "y_px", "radius_px", "angle_rad", "confidence"):
         parts[name] = found[name]

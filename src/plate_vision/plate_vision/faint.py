@@ -78,13 +78,13 @@ def faint_patches(
     inner, low, high = (_box_sums(grey, free, side * radius_px) for side in (INNER, *RING))
     ring = (high[0] - low[0]) / np.maximum(high[1] - low[1], 1e-6)
     # The measured patch and the complete ring around it must be on the visible plate.
-    whole = (high[1] > 0.98 * (round(RING[1] * radius_px) | 1) ** 2) & (free > 0)
-    if not np.any(whole):
+    is_free = (high[1] > 0.98 * (round(RING[1] * radius_px) | 1) ** 2) & (free > 0)
+    if not np.any(is_free):
         return np.zeros((0, 2)), 0.0
-    contrast = np.where(whole, inner[0] / np.maximum(inner[1], 1e-6) - ring, 0.0)
-    values = contrast[whole]
+    contrast = np.where(is_free, inner[0] / np.maximum(inner[1], 1e-6) - ring, 0.0)
+    values = contrast[is_free]
     noise = 1.4826 * float(np.median(np.abs(values - np.median(values))))
-    size = np.abs(contrast - float(np.median(values))) * whole
+    size = np.abs(contrast - float(np.median(values))) * is_free
     reach = round(2 * radius_px) | 1
     peak = cv2.dilate(size, np.ones((reach, reach), np.uint8))
     rows, columns = np.nonzero((size >= peak) & (size > max(MIN_CONTRAST, NOISE_FACTOR * noise)))

@@ -452,9 +452,9 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             )
             if part_class(name) not in NAMELESS  # parts without a class are already in `things`
         ]
-        for one, size in zip(things, radius.tolist(), strict=True):
-            reason = str(one["reason"])
-            x, y, pixels = (float(one[name]) for name in ("x_px", "y_px", "radius_px"))
+        for thing, size in zip(things, radius.tolist(), strict=True):
+            reason = str(thing["reason"])
+            x, y, pixels = (float(thing[name]) for name in ("x_px", "y_px", "radius_px"))
             shown.append(Thing("", x, y, pixels, reason, remedy(reason, 1e3 * size, expected)))
         return tuple(shown)
 

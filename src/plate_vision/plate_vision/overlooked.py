@@ -130,8 +130,8 @@ def is_separate_object(
     """Return which objects (n,) OVERLOOKED do not belong to a detected part. The parameters are as
     in `may_be_parts`."""
     place = np.column_stack([things["x"], things["y"]])
-    away = np.hypot(*(place[:, None] - centre).transpose(2, 0, 1))
-    return np.asarray(np.all(away >= APART * (radius + part_radius)[:, None], axis=1))
+    distance = np.hypot(*(place[:, None] - centre).transpose(2, 0, 1))
+    return np.asarray(np.all(distance >= APART * (radius + part_radius)[:, None], axis=1))
 
 
 def unnamed_objects(
@@ -242,7 +242,7 @@ class OverlookedTally:
         """
         if not self.images:
             return None
-        reason = np.concatenate([one["reason"] for one in self.things])
+        reason = np.concatenate([found["reason"] for found in self.things])
         radius = np.concatenate(self.radii)
         named = []
         for name in REASONS:
@@ -275,7 +275,7 @@ class OverlookedTally:
     def values(self) -> dict[str, str]:
         """Return the mean number of objects per image, in total and by reason."""
         reason = np.concatenate(
-            [NONE_OVERLOOKED["reason"], *(one["reason"] for one in self.things)]
+            [NONE_OVERLOOKED["reason"], *(found["reason"] for found in self.things)]
         )
         images = max(self.images, 1)
         values = {"overlooked": f"{len(reason) / images:.3g}"}

@@ -156,14 +156,14 @@ def find_types_and_lamp(
     elif not seen.agrees:
         seen = attempt(False)
     patches, found = seen.segments.patches, seen.found
-    whole = seen.segments.uncertain(is_named(found))
-    if whole is not None:
+    uncertain = seen.segments.uncertain(is_named(found))
+    if uncertain is not None:
         # The areas in `whole` were removed as shadows, but may belong to parts. The reason is that
         # the edges of a moving part are as soft as the edges of a shadow. Therefore, recognise
         # these areas again without removing shadows.
-        more = segment(image, background, region, whole=whole).patches
-        again = recognise(image, more, catalogue, calibration, seen.conditions)
-        patches, found = _merge_recognitions(patches, found, more, again)
+        more = segment(image, background, region, whole=uncertain).patches
+        more_found = recognise(image, more, catalogue, calibration, seen.conditions)
+        patches, found = _merge_recognitions(patches, found, more, more_found)
     found = explain_groups(image, patches, found, catalogue, calibration, seen.conditions)
     if is_blurred(image, seen.segments.patches):
         named = is_named(found)
@@ -172,7 +172,7 @@ def find_types_and_lamp(
 
 
 def _merge_recognitions(
-    patches: list[Patch], found: np.ndarray, more: list[Patch], again: np.ndarray
+    patches: list[Patch], found: np.ndarray, more: list[Patch], more_found: np.ndarray
 ) -> tuple[list[Patch], np.ndarray]:
     """Merge the results of two recognitions. `found` (m,) DETECTED_OBJECT are the records of
     `patches`, and `again` (k,) DETECTED_OBJECT are the records of the patches `more`.
@@ -182,13 +182,13 @@ def _merge_recognitions(
     """
     kept = np.ones(len(patches), bool)
     added = []
-    for k, (one, known) in enumerate(zip(more, is_named(again), strict=True)):
-        at = [i for i, patch in enumerate(patches) if one.overlaps(patch)]
-        if known or not at:
-            kept[at] = False
+    for k, (patch_found, known) in enumerate(zip(more, is_named(more_found), strict=True)):
+        overlapped = [i for i, patch in enumerate(patches) if patch_found.overlaps(patch)]
+        if known or not overlapped:
+            kept[overlapped] = False
             added.append(k)
-    patches = [patch for patch, own in zip(patches, kept, strict=True) if own]
-    return patches + [more[k] for k in added], np.concatenate([found[kept], again[added]])
+    patches = [patch for patch, keep in zip(patches, kept, strict=True) if keep]
+    return patches + [more[k] for k in added], np.concatenate([found[kept], more_found[added]])
 
 
 @dataclass(frozen=True)
@@ -217,7 +217,7 @@ class _Seen:
         if self.lamp is None or self.conditions.lamp is None:
             return True
         length, first = (
-            float(np.hypot(*one.shift_px)) for one in (self.conditions.lamp, self.lamp)
+            float(np.hypot(*lamp.shift_px)) for lamp in (self.conditions.lamp, self.lamp)
         )
         return abs(length - first) <= max(SAME_LENGTH * first, SAME_LENGTH_PX)
 
@@ -281,13 +281,13 @@ def camera_limits(types: Mapping[str, PartType], calibration: Calibration) -> li
                     f"type {name}: protrusion of its {part.symmetry} corners in the image is "
                     f"{corner_px:.2f} px, allowed: at least {MIN_CORNER_PX} px to measure the angle"
                 )
-    for one, other in combinations(types.values(), 2):
-        gap = gap_between(one, other, scale)
+    for first, second in combinations(types.values(), 2):
+        gap = gap_between(first, second, scale)
         if gap.far < ALIKE:
             found.append(gap.text)
         elif gap.far < SIZE_ALONE and abs(gap.size) > 0.9 * gap.far:
             found.append(
-                f"types {one.name} and {other.name} differ only in size, by "
+                f"types {first.name} and {second.name} differ only in size, by "
                 f"{abs(gap.size_px):.1f} px; with other light or blur they may be confused"
             )
     return found

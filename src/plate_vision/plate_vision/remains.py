@@ -127,8 +127,8 @@ def overlooked_objects(
     x0, y0, stride = remains.grid
     levels = 1 - contrast.grey[y0::stride, x0::stride] / np.float32(contrast.light[0])
     count, labels, stats, middle = cv2.connectedComponentsWithStats(remains.odd)
-    whole = np.pi * (radius_px / stride) ** 2
-    rows = [k for k in range(1, count) if stats[k, cv2.CC_STAT_AREA] >= MIN_AREA * whole]
+    part_area = np.pi * (radius_px / stride) ** 2
+    rows = [k for k in range(1, count) if stats[k, cv2.CC_STAT_AREA] >= MIN_AREA * part_area]
     if not rows:
         return NONE_OVERLOOKED
     beside = cv2.dilate(remains.outside.astype(np.uint8), np.ones((3, 3), np.uint8))
@@ -136,19 +136,19 @@ def overlooked_objects(
     for thing, k in zip(things, rows, strict=True):
         left, top, wide, high, area = stats[k].tolist()
         place = np.s_[top : top + high, left : left + wide]
-        here = labels[place] == k
+        in_object = labels[place] == k
         # In the area, a pixel of the blurred edge counts as a fraction of a pixel. The fraction is
         # proportional to its contrast.
-        contrasts = levels[place][here]
+        contrasts = levels[place][in_object]
         usual = float(np.median(contrasts))
         area = min(area, max(float(np.sum(contrasts)), 0.0) / max(usual, 1e-3))
         thing["x_px"], thing["y_px"] = middle[k] * stride + (x0, y0)
         thing["radius_px"] = np.sqrt(area / np.pi) * stride
-        if np.any(beside[place][here]):
+        if np.any(beside[place][in_object]):
             thing["reason"] = "at the edge"
-        elif area < SMALL * whole:
+        elif area < SMALL * part_area:
             thing["reason"] = "too small"
-        elif area > LARGE * whole:
+        elif area > LARGE * part_area:
             thing["reason"] = "too large"
         elif usual < faint:
             thing["reason"] = "too faint"

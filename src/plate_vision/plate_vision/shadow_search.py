@@ -234,8 +234,8 @@ def _find_elongated_objects(
     flat = np.empty((len(rows), 2))
     for k, row in enumerate(rows):
         left, top, wide, high = stats[row, :4].tolist()
-        here = (labels[top : top + high, left : left + wide] == row).astype(np.uint8)
-        m = cv2.moments(here, binaryImage=True)
+        mask = (labels[top : top + high, left : left + wide] == row).astype(np.uint8)
+        m = cv2.moments(mask, binaryImage=True)
         flat[k] = m["mu20"] - m["mu02"], 2 * m["mu11"]
         flat[k] /= m["mu20"] + m["mu02"]
     much = np.hypot(*flat.T)

@@ -223,12 +223,12 @@ def observe(
         # The objects in `unknown` may be parts. The planner must not move other parts into these
         # objects.
         unknown = may_be_parts(things, size, vision.radius, vision.inner, centre)
-        more, none = things[unknown], np.zeros(np.count_nonzero(unknown))
+        more, zero = things[unknown], np.zeros(np.count_nonzero(unknown))
         centre = np.vstack([centre, np.column_stack([more["x"], more["y"]])])
         label = np.concatenate([label, np.full(len(more), UNKNOWN, label.dtype)])
-        angle = np.concatenate([angle, none])
+        angle = np.concatenate([angle, zero])
         thing_quality = np.column_stack(
-            [none + UNKNOWN_RADII * vision.radius, none + ANY_ANGLE, none]
+            [zero + UNKNOWN_RADII * vision.radius, zero + ANY_ANGLE, zero]
         )
         quality = np.vstack([quality, thing_quality])
     after = update(
@@ -265,7 +265,7 @@ def _observe_types(
     things = unnamed_objects(seen, on_plate, seen["radius_px"] / scale, *limits)
     kept = named | (on_plate & (np.pi * (seen["radius_px"] / scale) ** 2 > min_area))
     seen, named, centre, scale = seen[kept], named[kept], centre[kept], scale[kept]
-    symmetries = {one.part.name: one.part.symmetry for one in catalogue.templates}
+    symmetries = {template.part.name: template.part.symmetry for template in catalogue.templates}
     symmetry = np.array([symmetries.get(label, 0) for label in seen["label"].tolist()], int)
     place = np.hypot(np.where(named, SHAPE_PX, UNKNOWN_PX) / scale, seen["place_sd"])
     place[~seen["whole"]] = np.nan
@@ -341,8 +341,8 @@ def _detection_quality(
     corner_px = np.array(vision.region.size_px) - 1
     border_px = np.minimum(centre_px, corner_px - centre_px).min(axis=1) + 0.5
     depth_px = np.minimum(vision.region.depth(*centre_px.T), border_px)
-    whole = depth_px >= found["radius_px"]
+    is_inside = depth_px >= found["radius_px"]
     place_px = np.hypot(CENTRE_PX, found["scatter_px"])
-    place = np.where(whole, place_px / vision.calibration.scale(centre), np.nan)
+    place = np.where(is_inside, place_px / vision.calibration.scale(centre), np.nan)
     angle = np.where(found["angle_rad"] != 0, MARK_PX / found["radius_px"], ANY_ANGLE)
     return np.column_stack([place, angle, found["confidence"]])

@@ -380,8 +380,8 @@ class PlateClient:
             return
         self._until(lambda: taken() or refused(), REFUSED_S)
         if not taken():
-            none = "the planner has neither taken nor refused the targets; it may hang"
-            raise PlateError(self._refusal if refused() else none)
+            no_reply = "the planner has neither taken nor refused the targets; it may hang"
+            raise PlateError(self._refusal if refused() else no_reply)
 
     def _on_targets(self, msg: Targets) -> None:
         self._current = msg_to_targets(msg)

@@ -196,8 +196,8 @@ class Services:
 
     def _missing(self, service: str) -> str:
         """Return the reason why the service is missing."""
-        here = self._seen()
-        why = f"running nodes: {', '.join(here)}" if here else no_graph_text()
+        running = self._seen()
+        why = f"running nodes: {', '.join(running)}" if running else no_graph_text()
         return f"no service {service}; {why}"
 
     def _find_nodes(self) -> None:
@@ -213,12 +213,12 @@ class Services:
 
     def _seen(self) -> list[str]:
         """Return the names of the nodes in this namespace."""
-        own = self.node.get_namespace()
+        own_namespace = self.node.get_namespace()
         found = self.node.get_node_names_and_namespaces()
         return sorted(  # names that begin with _ belong to hidden nodes, such as the ros2 daemon
             name
             for name, where in found
-            if name != NAME and where == own and not name.startswith("_")
+            if name != NAME and where == own_namespace and not name.startswith("_")
         )
 
     def _until(self, true: Callable[[], bool], timeout_s: float) -> bool:
@@ -230,9 +230,9 @@ class Services:
 def no_graph_text() -> str:
     """Return the error text for the case that no graph is running. The text lists the ROS domains
     that are in use on this machine."""
-    own = ros_domain(os.environ)
-    others = sorted(domains_in_use() - {own})
-    text = f"no graph runs in ROS domain {own}"
+    own_domain = ros_domain(os.environ)
+    others = sorted(domains_in_use() - {own_domain})
+    text = f"no graph runs in ROS domain {own_domain}"
     if others:
         listed = ", ".join(map(str, others))
         text += (

@@ -78,8 +78,10 @@ class PlateCycle:
         if self.tail is None:
             return self.times, self.knot_pose, self.knot_twist, self.knot_accel
         times, *states = self.tail.knots
-        own = self.knot_pose, self.knot_twist, self.knot_accel
-        pose, twist, accel = (np.concatenate(pair) for pair in zip(own, states, strict=True))
+        knot_states = self.knot_pose, self.knot_twist, self.knot_accel
+        pose, twist, accel = (
+            np.concatenate(pair) for pair in zip(knot_states, states, strict=True)
+        )
         return np.concatenate([self.times, self.period + times]), pose, twist, accel
 
     def state(self, knot: int) -> np.ndarray:
@@ -283,7 +285,7 @@ class PlateCycle:
         home within `duration_s` [s]. If `period` [s] is longer, the plate rests until its end.
         """
         times = [0.0, duration_s, period][: 2 + (period > duration_s)]
-        knots = [np.vstack([own, np.zeros((len(times) - 1, 3))]) for own in state]
+        knots = [np.vstack([row, np.zeros((len(times) - 1, 3))]) for row in state]
         return cls._close_motion(np.array(times), knots, at_rest=True)
 
 
@@ -383,10 +385,10 @@ def evaluate_pieces(times: np.ndarray, pieces: np.ndarray, t: np.ndarray, order:
     order : int
         Order of the derivative. 0 is the value itself.
     """
-    at = np.searchsorted(times[1:-1], t, "right")
-    pieces = pieces[at, order:] * FACTORS[order]
+    index = np.searchsorted(times[1:-1], t, "right")
+    pieces = pieces[index, order:] * FACTORS[order]
     powers = np.ones(pieces.shape[:2])
-    powers[:, 1:] = (t - times[at])[:, None]
+    powers[:, 1:] = (t - times[index])[:, None]
     pieces *= np.multiply.accumulate(powers, axis=1, out=powers)[..., None]
     return np.asarray(np.add.reduce(pieces, axis=1, initial=0.0))
 

@@ -102,10 +102,10 @@ def rig_report(rig: Rig, name: str, found: list[RigWarning]) -> str:
     ]
     for axis, description in (("x", "along x"), ("y", "along y"), ("theta", "theta, at a corner")):
         for hz in FREQUENCIES_HZ:
-            one = max_sinusoid(rig, axis, hz)
+            sinusoid = max_sinusoid(rig, axis, hz)
             lines.append(
-                f"  {description:20} {hz:4g} Hz  {1e3 * one.travel:12.3g} {one.speed:12.3g} "
-                f"{one.accel:14.3g}  {one.limit}"
+                f"  {description:20} {hz:4g} Hz  {1e3 * sinusoid.travel:12.3g} "
+                f"{sinusoid.speed:12.3g} {sinusoid.accel:14.3g}  {sinusoid.limit}"
             )
     lines.append("")
     for warning in found:

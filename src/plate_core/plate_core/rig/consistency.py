@@ -110,15 +110,15 @@ def rig_warnings(rig: Rig, *about: str) -> list[RigWarning]:
 def _check_motors(rig: Rig) -> Iterator[RigWarning]:
     size = 2 * float(np.max(rig.plate.half))
     for motor in rig.motors:
-        away = float(np.hypot(*np.maximum(np.abs(motor.point) - rig.plate.half, 0)))
-        if away > BESIDE * size:
+        outside_m = float(np.hypot(*np.maximum(np.abs(motor.point) - rig.plate.half, 0)))
+        if outside_m > BESIDE * size:
             x, y = motor.point
             yield RigWarning(
                 "motors",
-                f"motors: {motor.name}: point_m is [{x:g}, {y:g}], {away:.3g} m outside the plate, "
-                f"allowed: |x| up to {rig.plate.half[0]:g}, |y| up to {rig.plate.half[1]:g}, or on "
-                f"a bracket up to {OUTSIDE * size:.3g} m outside",
-                away > OUTSIDE * size,
+                f"motors: {motor.name}: point_m is [{x:g}, {y:g}], {outside_m:.3g} m outside the "
+                f"plate, allowed: |x| up to {rig.plate.half[0]:g}, |y| up to "
+                f"{rig.plate.half[1]:g}, or on a bracket up to {OUTSIDE * size:.3g} m outside",
+                outside_m > OUTSIDE * size,
             )
     yield from _check_drives(rig)
     scale = np.array([1, 1, float(np.hypot(*rig.plate.half))])
@@ -372,10 +372,10 @@ def _check_corner_order(corners: np.ndarray) -> RigWarning | None:
     crosses = sides[:, 0] * after[:, 1] - sides[:, 1] * after[:, 0]
     if np.all(crosses < 0):
         return None
-    what = "are in mirrored order" if np.all(crosses > 0) else "are no convex quadrilateral"
+    order = "are in mirrored order" if np.all(crosses > 0) else "are no convex quadrilateral"
     return RigWarning(
         "camera",
-        f"camera: corners_px {what}, allowed: the pixels of (-x,-y), (+x,-y), (+x,+y), (-x,+y) in "
+        f"camera: corners_px {order}, allowed: the pixels of (-x,-y), (+x,-y), (+x,+y), (-x,+y) in "
         "this order, as seen from above (pixel rows count downwards)",
         True,
     )

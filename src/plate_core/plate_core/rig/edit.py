@@ -82,9 +82,9 @@ def edit_text(text: str, values: Values) -> str:
             elif mapping.flow_style:
                 edits.append((last.end_mark.index, last.end_mark.index, f", {key}: {value}"))
             else:  # insert the new text after the line of the last item
-                at = text.find("\n", _node_end(last))
-                at = len(text) if at < 0 else at
-                edits.append((at, at, f"\n{indent}{key}: {value}"))
+                line_end = text.find("\n", _node_end(last))
+                line_end = len(text) if line_end < 0 else line_end
+                edits.append((line_end, line_end, f"\n{indent}{key}: {value}"))
     done, parts = 0, []
     for start, end, value in sorted(edits, key=lambda edit: edit[0]):
         parts += [text[done:start], value]

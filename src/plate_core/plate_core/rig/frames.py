@@ -197,8 +197,8 @@ def camera_place(rig: Rig) -> np.ndarray | None:
     """
     camera = rig.camera
     if camera.lens is not None:
-        there = _camera_position(homography(rig), camera.lens.matrix)
-        return there if np.all(np.isfinite(there)) else None
+        position = _camera_position(homography(rig), camera.lens.matrix)
+        return position if np.all(np.isfinite(position)) else None
     corners, plate = np.array(camera.corners_px), rig.plate.corners
     middle = np.array([(camera.width_px - 1) / 2, (camera.height_px - 1) / 2])
     if camera.height_m is not None:

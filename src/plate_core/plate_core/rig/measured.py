@@ -41,10 +41,10 @@ def unmeasured(rig: Rig) -> list[str]:
     return found
 
 
-def _is_same_lens(one: Lens | None, other: Lens | None) -> bool:
+def _is_same_lens(a: Lens | None, b: Lens | None) -> bool:
     return (
-        one is not None
-        and other is not None
-        and np.array_equal(one.matrix, other.matrix)
-        and list(one.distortion) == list(other.distortion)
+        a is not None
+        and b is not None
+        and np.array_equal(a.matrix, b.matrix)
+        and list(a.distortion) == list(b.distortion)
     )

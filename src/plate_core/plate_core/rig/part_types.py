@@ -295,8 +295,8 @@ def disc_polygon(radius: float) -> np.ndarray:
     disc."""
     angle = 2 * np.pi * np.arange(ROUND_CORNERS) / ROUND_CORNERS
     step = 2 * np.pi / ROUND_CORNERS
-    own = radius * np.sqrt(step / np.sin(step))
-    return np.asarray(own * np.stack([np.cos(angle), np.sin(angle)], axis=1))
+    corner_radius = radius * np.sqrt(step / np.sin(step))
+    return np.asarray(corner_radius * np.stack([np.cos(angle), np.sin(angle)], axis=1))
 
 
 def symmetry_order(outline: np.ndarray) -> int:

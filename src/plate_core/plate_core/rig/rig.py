@@ -96,9 +96,9 @@ class Rig:
     def motor_loads(self) -> np.ndarray:
         """Matrices (3, 4, 3) that convert pose, twist and acceleration of the plate to motor forces
         [N]. Read-only."""
-        suspension, none = self.suspension, np.zeros((3, 3))
-        stiffness = none if suspension is None else np.array(suspension.stiffness)
-        damping = none if suspension is None else np.array(suspension.damping)
+        suspension, zero = self.suspension, np.zeros((3, 3))
+        stiffness = zero if suspension is None else np.array(suspension.stiffness)
+        damping = zero if suspension is None else np.array(suspension.damping)
         return read_only(
             compute_motor_loads(self.motor_levers, stiffness, damping, self.plate_mass)
         )

@@ -171,7 +171,7 @@ def msg_to_parts(msg: PartsMsg) -> Parts:
 def msg_to_overlooked(msg: PartsMsg) -> tuple[OverlookedThing, ...]:
     """Return the objects of a message that vision does not recognise as parts. Objects with
     non-finite values are skipped."""
-    things = (OverlookedThing(one.x, one.y, one.radius, one.reason) for one in msg.overlooked)
+    things = (OverlookedThing(item.x, item.y, item.radius, item.reason) for item in msg.overlooked)
     return tuple(thing for thing in things if np.all(np.isfinite(thing[:3])))
 
 
@@ -294,8 +294,8 @@ def msg_to_targets(msg: TargetsMsg) -> tuple[PartTarget, ...]:
     if len(ids) > MAX_PARTS:
         raise PlateError(f"targets: {len(ids)} targets, allowed: at most {MAX_PARTS}")
     if len(set(ids)) < len(ids):
-        again = next(name for name in ids if ids.count(name) > 1)
-        raise PlateError(f"targets: {again[:50]} occurs twice, allowed: each part at most once")
+        double = next(name for name in ids if ids.count(name) > 1)
+        raise PlateError(f"targets: {double[:50]} occurs twice, allowed: each part at most once")
     return tuple(
         PartTarget(each.id, (each.x, each.y), None if math.isnan(each.angle) else each.angle)
         for each in msg.targets

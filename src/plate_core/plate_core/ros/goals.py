@@ -112,7 +112,7 @@ def goal_to_scenario(goal: Any) -> Scenario:
 def _write_sort(task: SortTask, goal: Any) -> None:
     goal.goal_fraction, goal.hold_s = float(task.goal_fraction), float(task.hold_s)
     goal.regions = [
-        Region(type=label, polygon=[_point_to_msg(at) for at in region.corner])
+        Region(type=label, polygon=[_point_to_msg(corner) for corner in region.corner])
         if isinstance(region, Bin)
         else Region(type=label, side=side_name(region))
         for label, region in task.regions.items()
@@ -122,7 +122,7 @@ def _write_sort(task: SortTask, goal: Any) -> None:
 def _read_sort(goal: Any) -> dict[str, Any]:
     _check_unique("regions", [region.type for region in goal.regions])
     regions = {
-        region.type: region.side or {"bin_m": [[at.x, at.y] for at in region.polygon]}
+        region.type: region.side or {"bin_m": [[corner.x, corner.y] for corner in region.polygon]}
         for region in goal.regions
     }
     sides = any(region.side for region in goal.regions)
@@ -141,11 +141,11 @@ def _write_follow(task: FollowTask, goal: Any) -> None:
 def _path_to_msg(path: PathTask) -> Path:
     return Path(
         type=path.label,
-        waypoints=[_point_to_msg(at) for at in path.waypoint],
+        waypoints=[_point_to_msg(waypoint) for waypoint in path.waypoint],
         closed=path.closed,
         laps=float(path.laps),
         speed=float(path.speed),
-        profile_fractions=[float(at) for at, _ in path.profile],
+        profile_fractions=[float(fraction) for fraction, _ in path.profile],
         profile_speeds=[float(speed) for _, speed in path.profile],
     )
 
@@ -326,11 +326,11 @@ KINDS: Mapping[str, tuple[type, Callable[[Any, Any], None], Callable[[Any], dict
 that converts a goal to the data of a task."""
 
 
-def _point_to_msg(at: tuple[float, float]) -> Point:
-    return Point(x=float(at[0]), y=float(at[1]))
+def _point_to_msg(point: tuple[float, float]) -> Point:
+    return Point(x=float(point[0]), y=float(point[1]))
 
 
 def _check_unique(what: str, labels: list[str]) -> None:
-    again = next((label for label in labels if labels.count(label) > 1), None)
-    if again is not None:
-        raise ScenarioError(f"{what}: {again} occurs twice, allowed: each type once")
+    double = next((label for label in labels if labels.count(label) > 1), None)
+    if double is not None:
+        raise ScenarioError(f"{what}: {double} occurs twice, allowed: each type once")

@@ -198,12 +198,12 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
         full = self.resolve_topic_name(topic)
         if self.count_publishers(full) < 2:
             return ""
-        found, own = self.get_publishers_info_by_topic(full), f"{self.get_namespace()}/"
+        found, prefix = self.get_publishers_info_by_topic(full), f"{self.get_namespace()}/"
         # Count the names of nodes instead of publishers. A killed node stays listed for a while,
         # together with its restarted instance. Ignore unknown names, because the name of a new node
         # is unknown at first.
         names = {
-            f"{each.node_namespace}/{each.node_name}".removeprefix(own)
+            f"{each.node_namespace}/{each.node_name}".removeprefix(prefix)
             for each in found
             if each.node_name != UNKNOWN_NAME
         }
@@ -415,9 +415,9 @@ def start_nodes(*nodes: SafeLifecycleNode[Any]) -> None:
         The exception of the transition that failed. For wrong input, the exception is a
         `PlateError`.
     """
-    own = [node for node in nodes if node.options.autostart]
+    autostarted = [node for node in nodes if node.options.autostart]
     for trigger in ("trigger_configure", "trigger_activate"):
-        for node in own:
+        for node in autostarted:
             node.starting = True
             try:
                 done = getattr(node, trigger)() == TransitionCallbackReturn.SUCCESS

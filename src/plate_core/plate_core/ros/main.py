@@ -102,9 +102,9 @@ def _run_nodes(
     def on_signal(number: int, frame: FrameType | None) -> None:
         nonlocal stopped, interrupted
         # a second signal has no effect, so that it does not interrupt the clean-up
-        again, stopped = stopped, True
+        was_stopped, stopped = stopped, True
         waiting = spinning and not any(getattr(node, "configuring", False) for node in nodes)
-        if not (again or waiting):
+        if not (was_stopped or waiting):
             interrupted = True
             raise KeyboardInterrupt
 

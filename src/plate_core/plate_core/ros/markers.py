@@ -78,7 +78,7 @@ def scene_to_msg(
             marker.pose.position.x, marker.pose.position.y = float(place[0]), float(place[1])
         trail = _make_marker("trails", i, Marker.LINE_STRIP, colour, stamp)
         trail.scale.x = LINE_M / 2
-        trail.points = [_to_point(at) for at in trails.get(name, ())]
+        trail.points = [_to_point(position) for position in trails.get(name, ())]
         ahead = place + AHEAD_S * parts.velocity[i]
         markers += [disc, text, _make_arrow("velocities", i, place, ahead, VELOCITY, stamp)]
         markers += [trail] if len(trail.points) > 1 else []
@@ -110,8 +110,8 @@ def centres_to_msg(rig: Rig, cycle: PlateCycle, stamp: Time) -> MarkerArray:
     reach = np.max(np.abs(centre), axis=1) < MAX_HALVES * rig.plate.half.max()
     points = _make_marker("centres", 0, Marker.POINTS, FORCE, stamp)
     points.scale.x = points.scale.y = LINE_M
-    for at, spin in zip(centre[reach], twist[reach, 2], strict=True):
-        points.points.append(_to_point(at))
+    for position, spin in zip(centre[reach], twist[reach, 2], strict=True):
+        points.points.append(_to_point(position))
         points.colors.append(_to_rgba(TURNING[0 if spin > 0 else 1]))
     return MarkerArray(markers=[points])
 
@@ -144,5 +144,5 @@ def _make_arrow(
     return arrow
 
 
-def _to_point(at: Sequence[float] | np.ndarray) -> Point:
-    return Point(x=float(at[0]), y=float(at[1]), z=THICK_M)
+def _to_point(position: Sequence[float] | np.ndarray) -> Point:
+    return Point(x=float(position[0]), y=float(position[1]), z=THICK_M)

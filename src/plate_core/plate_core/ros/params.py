@@ -208,8 +208,8 @@ def set_parameters(
     for item in parameters:
         if not node.has_parameter(item.name):
             known = node.get_parameters_by_prefix("")
-            own = [name for name in known if not name.startswith(OF_RCLPY)]
-            reason = _unknown_text(node, item.name, own)
+            own_names = [name for name in known if not name.startswith(OF_RCLPY)]
+            reason = _unknown_text(node, item.name, own_names)
             return SetParametersResult(successful=False, reason=reason)
         requested, present = _widen_to_float(node, item), node.get_parameter(item.name)
         if (requested.type_, requested.value) != (present.type_, present.value):
@@ -263,8 +263,8 @@ def follow(
 
 def _widen_to_float(node: Node, item: Parameter) -> Parameter:
     """Convert a whole number to a float if the parameter is declared as a float."""
-    whole = item.type_ is Parameter.Type.INTEGER
-    if whole and node.get_parameter_or(item.name).type_ is Parameter.Type.DOUBLE:
+    is_integer = item.type_ is Parameter.Type.INTEGER
+    if is_integer and node.get_parameter_or(item.name).type_ is Parameter.Type.DOUBLE:
         return Parameter(item.name, value=float(item.value))
     return item
 
@@ -291,6 +291,6 @@ def _make_descriptor(default: Any, spec: Spec, managed: bool) -> ParameterDescri
             limits = FloatingPointRange(from_value=float(spec.low), to_value=float(spec.high))
             descriptor.floating_point_range = [limits]
         else:
-            whole = IntegerRange(from_value=int(spec.low), to_value=int(spec.high), step=1)
-            descriptor.integer_range = [whole]
+            integer_range = IntegerRange(from_value=int(spec.low), to_value=int(spec.high), step=1)
+            descriptor.integer_range = [integer_range]
     return descriptor

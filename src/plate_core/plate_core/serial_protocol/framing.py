@@ -30,10 +30,10 @@ def frame(packet: bytes) -> bytes:
     if not 0 < len(packet) <= MAX_PACKET - CRC_BYTES:
         raise FrameError(f"packet has {len(packet)} bytes, allowed: 1 to {MAX_PACKET - CRC_BYTES}")
     whole = packet + zlib.crc32(packet).to_bytes(CRC_BYTES, "little")
-    coded, at = bytearray(b"\0" + whole + b"\0"), 0
-    while (after := coded.find(END, at + 1)) > 0:
-        coded[at] = after - at
-        at = after
+    coded, index = bytearray(b"\0" + whole + b"\0"), 0
+    while (after := coded.find(END, index + 1)) > 0:
+        coded[index] = after - index
+        index = after
     return bytes(coded)
 
 
@@ -51,13 +51,13 @@ def unframe(encoded: bytes) -> bytes:
         )
     if END in encoded:
         raise FrameError(f"frame contains the end byte at byte {encoded.index(END)}")
-    decoded, at = bytearray(encoded), 0
-    while at < len(encoded):
-        decoded[at] = 0
-        at += encoded[at]
-    if at > len(encoded):
+    decoded, index = bytearray(encoded), 0
+    while index < len(encoded):
+        decoded[index] = 0
+        index += encoded[index]
+    if index > len(encoded):
         raise FrameError(
-            f"the last COBS block ends {at - len(encoded)} bytes after the frame's end"
+            f"the last COBS block ends {index - len(encoded)} bytes after the frame's end"
         )
     packet = bytes(decoded[1:-CRC_BYTES])
     crc = int.from_bytes(decoded[-CRC_BYTES:], "little")

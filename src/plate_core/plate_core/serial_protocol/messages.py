@@ -452,7 +452,7 @@ def parse(packet: bytes) -> Packet:
         raise FrameError(f"Knots has {len(body)} bytes, allowed: {head} + {knot} * n, n = 1 to 4")
     starts = range(head, len(body), knot)
     table, first = LAYOUTS[Knots].unpack_from(body)
-    knots = tuple(_unpack_fields(Knot, body[at : at + knot]) for at in starts)
+    knots = tuple(_unpack_fields(Knot, body[begin : begin + knot]) for begin in starts)
     return Packet(sequence, Knots(table, first, knots))
 
 

@@ -41,11 +41,11 @@ def goal_places(scenario: Scenario) -> list[Place]:
         ]
     if isinstance(task, PoseTask):
         key = "task: poses: place_m"
-        there = [(key, pose.label, pose.place) for pose in task.poses if pose.place is not None]
+        goals = [(key, pose.label, pose.place) for pose in task.poses if pose.place is not None]
         stay = {pose.label for pose in task.poses if pose.place is None and not task.anywhere}
         staying = [group for group in scenario.parts if group.label in stay]
         start = "parts: positions_m"
-        return there + [(start, g.label, point) for g in staying for point in g.position or ()]
+        return goals + [(start, g.label, point) for g in staying for point in g.position or ()]
     return []
 
 
@@ -57,10 +57,11 @@ def edge_problem(label: str, point: Point, rig: Rig) -> str:
     # For NaN, the following condition is false.
     if abs(x) <= limit[0] + ROUNDING_M and abs(y) <= limit[1] + ROUNDING_M:
         return ""
-    away = float(np.min(rig.plate.half - np.abs(point)))
+    to_edge_m = float(np.min(rig.plate.half - np.abs(point)))
     return (
-        f"({x:g}, {y:g}) m, {1e3 * away:.3g} mm from an edge, allowed: |x| up to {limit[0]:g}, |y| "
-        f"up to {limit[1]:g} m on this plate, which is {1e3 * min_m:.3g} mm from its edges, "
+        f"({x:g}, {y:g}) m, {1e3 * to_edge_m:.3g} mm from an edge, allowed: "
+        f"|x| up to {limit[0]:g}, |y| up to {limit[1]:g} m on this plate, which is "
+        f"{1e3 * min_m:.3g} mm from its edges, "
         f"because the plate moves under the parts by up to {1e3 * rig.limits.stroke_m:g} mm (the "
         "stroke)"
     )
@@ -84,15 +85,18 @@ def edge_warnings(scenario: Scenario, rig: Rig) -> tuple[str, ...]:
     edge is reported."""
     warnings: dict[tuple[str, str], tuple[float, str]] = {}
     for key, label, point in goal_places(scenario):
-        wall, away = rig.edge_margin(label).wall_m, float(np.min(rig.plate.half - np.abs(point)))
-        if away >= min(wall - ROUNDING_M, warnings.get((key, label), (np.inf,))[0]):
+        wall, to_edge_m = (
+            rig.edge_margin(label).wall_m,
+            float(np.min(rig.plate.half - np.abs(point))),
+        )
+        if to_edge_m >= min(wall - ROUNDING_M, warnings.get((key, label), (np.inf,))[0]):
             continue
         text = (
-            f"{key} of {label} is ({point[0]:g}, {point[1]:g}) m, {1e3 * away:.3g} mm from an "
+            f"{key} of {label} is ({point[0]:g}, {point[1]:g}) m, {1e3 * to_edge_m:.3g} mm from an "
             f"edge, advised: {1e3 * wall:.3g} mm, because a push or a slippery spot may move a "
             "part over the edge"
         )
-        warnings[key, label] = away, text
+        warnings[key, label] = to_edge_m, text
     return tuple(text for _, text in warnings.values())
 
 

@@ -98,9 +98,9 @@ def _read_hopper(fields: Fields, labels: tuple[str, ...], picks: tuple[Pick, ...
         if abs(total - 1) > WHOLE:
             raise fields.fail("mix", f"fractions of {known} whose sum is 1")
         mix = {label: part / total for label, part in mix.items()}
-        if none := [pick.label for pick in picks if not mix.get(pick.label)]:
+        if missing := [pick.label for pick in picks if not mix.get(pick.label)]:
             raise fields.fail(
-                "mix", f"more than 0 for each class of picks; missing: {', '.join(none)}"
+                "mix", f"more than 0 for each class of picks; missing: {', '.join(missing)}"
             )
     fill = fields.value(keys.HOPPER["fill"])
     least = fields.value(keys.HOPPER["least"])

@@ -144,8 +144,8 @@ class Response:
         strongest response, because it changes from cycle to cycle.
         """
         gain = np.sum(np.abs(self._interpolate(self.matrix, frequency)) ** 2, axis=1)
-        own = self.frequency[np.argmax(np.linalg.norm(self.matrix, axis=(1, 2)))]
-        rate = 2 * np.pi * np.where(frequency > 0, frequency, own)
+        peak = self.frequency[np.argmax(np.linalg.norm(self.matrix, axis=(1, 2)))]
+        rate = 2 * np.pi * np.where(frequency > 0, frequency, peak)
         return np.asarray(np.maximum(gain, FAINT**2) * rate[:, None] ** 4)
 
     def updated(self, commanded: np.ndarray, measured: np.ndarray, trust: float = 1.0) -> Response:

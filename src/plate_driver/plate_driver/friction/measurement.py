@@ -359,8 +359,8 @@ class FrictionMeasurement:
         stages = {Stage.SEARCH: 0.0, Stage.DISTANCE: 0.25, Stage.ONSET: 0.6, Stage.DONE: 1.0}
         done = sum(trial.stage is self.stage for trial in self.trials)
         weights = {Stage.SEARCH: 0.25, Stage.DISTANCE: 0.35, Stage.ONSET: 0.4, Stage.DONE: 0.0}
-        whole = 10 if self.stage is Stage.SEARCH else max(1, done + len(self.todo))
-        return stages[self.stage] + weights[self.stage] * min(1.0, done / whole)
+        expected = 10 if self.stage is Stage.SEARCH else max(1, done + len(self.todo))
+        return stages[self.stage] + weights[self.stage] * min(1.0, done / expected)
 
     def after(self, rest: Rest, played: Push | None = None) -> FrictionMeasurement:
         """Return the measurement after its current push.
@@ -485,15 +485,15 @@ class FrictionMeasurement:
         mu = np.array([self.guess[name] for name in kept])
         todo: list[Push] = []
         for axis in (0, 1):
-            there = make_push(self.rig, axis, 1, accel, self.slow)
-            step = float(np.max(slip(there, mu, 0.0, gravity)))
+            forward = make_push(self.rig, axis, 1, accel, self.slow)
+            step = float(np.max(slip(forward, mu, 0.0, gravity)))
             # Parts slip in the direction opposite to the push. Therefore use the clearance in this
             # direction.
             free = {sign: self._min_wall_distance(axis, -sign) for sign in (1, -1)}
             sign = max(free, key=lambda one: free[one])
             count = int(np.clip(min(free[sign], TRAVEL_M) / max(step, 1e-6), 1, MAX_STEPS))
             back = make_push(self.rig, axis, -sign, accel, self.slow)
-            todo += count * [replace(there, sign=sign, cycle=there.cycle.scaled(sign))]
+            todo += count * [replace(forward, sign=sign, cycle=forward.cycle.scaled(sign))]
             todo += count * [back]
         weakest = float(np.min(slip(todo[0], mu, 0.0, gravity)))
         error = self.trials[-1].error
@@ -537,9 +537,9 @@ class FrictionMeasurement:
     def _local_friction(self, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return mu of a part in each distance push (n,), its standard errors (n,), and the
         distances (n,) between the part's place in each push and its current place [m]."""
-        trials, here = self._trials_of(name, Stage.DISTANCE), self.rest.place[name]
+        trials, rest_place = self._trials_of(name, Stage.DISTANCE), self.rest.place[name]
         values, errors = np.array([trial.local(name) for trial in trials]).T
-        return values, errors, np.array([np.hypot(*(t.place[name] - here)) for t in trials])
+        return values, errors, np.array([np.hypot(*(t.place[name] - rest_place)) for t in trials])
 
     def _fit_dynamic_friction(self, name: str) -> tuple[float, float]:
         """Return mu of a part by least squares over its distance pushes, and its standard error."""
@@ -558,9 +558,9 @@ class FrictionMeasurement:
         # errors of both lags are correlated. The errors have opposite signs if both pushes have the
         # same direction, and equal signs otherwise.
         correlation = np.eye(len(trials))
-        for k, (one, other) in enumerate(pairwise(trials)):
-            if one.push.axis == other.push.axis:
-                shared = -0.5 * one.push.sign * other.push.sign
+        for k, (first, second) in enumerate(pairwise(trials)):
+            if first.push.axis == second.push.axis:
+                shared = -0.5 * first.push.sign * second.push.sign
                 correlation[k, k + 1] = correlation[k + 1, k] = shared
         # derivatives of the lags with respect to mu, divided by the standard errors of the lags
         slopes = fit.jac[:, 0]
@@ -587,13 +587,13 @@ class FrictionMeasurement:
         held, slid = self._find_onset_trials(name)
         if slid is None:
             return np.nan
-        local, _, away = self._local_friction(name)
+        local, _, distance = self._local_friction(name)
         along = [
             trial.push.axis == slid.push.axis for trial in self._trials_of(name, Stage.DISTANCE)
         ]
         # Use only pushes along the same axis, because friction may differ along x and y.
-        local, away = local[along], away[along]
-        mu = float(np.mean(local[away <= np.min(away) + HERE_M]))
+        local, distance = local[along], distance[along]
+        mu = float(np.mean(local[distance <= np.min(distance) + HERE_M]))
         lower = grip = mu * self.rig.friction.gravity
         if held is not None and held.lag_at(mu) > _min_visible_slip(held):
             lower = max(lower, held.push.accel)

@@ -278,10 +278,10 @@ class FrictionServer:
         self._driver.get_logger().info(text)
         parts = [
             PartFriction(
-                id=one.id, x=float(one.place[0]), y=float(one.place[1]), mu=one.mu,
-                mu_error=one.error, static_ratio=float(one.static_ratio),
+                id=part.id, x=float(part.place[0]), y=float(part.place[1]), mu=part.mu,
+                mu_error=part.error, static_ratio=float(part.static_ratio),
             )
-            for one in result.parts
+            for part in result.parts
         ]  # fmt: skip
         self._publish_status(
             Friction.DONE, text, 1.0, mu=result.mu, mu_error=result.error,

@@ -118,8 +118,10 @@ class SafetyNode:
         self._status_at = float("-inf")
         self._publishing = threading.Lock()
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        own = MutuallyExclusiveCallbackGroup()
-        node.create_timer(STATE_PERIOD_S, self.publish_status, clock=steady, callback_group=own)
+        timer_group = MutuallyExclusiveCallbackGroup()
+        node.create_timer(
+            STATE_PERIOD_S, self.publish_status, clock=steady, callback_group=timer_group
+        )
         self._ended = False
         self._executor = MultiThreadedExecutor(THREADS, context=self._context)
         self._executor.add_node(node)

@@ -199,8 +199,8 @@ def check_setpoints(
     if not all(np.all(np.isfinite(values)) for values in (times, q, qd, qdd)):
         raise CycleError("motor setpoints: a value is not finite")
     once = np.append(True, np.diff(times) != 0)
-    again = np.flatnonzero(~once)
-    if any(np.any(values[again] != values[again - 1]) for values in (q, qd, qdd)):
+    repeated = np.flatnonzero(~once)
+    if any(np.any(values[repeated] != values[repeated - 1]) for values in (q, qd, qdd)):
         raise CycleError("motor setpoints: two setpoints for the same time differ")
     times, q, qd, qdd = times[once], q[once], qd[once], qdd[once]
     if times[0] != 0 or np.any(np.diff(times) < 0):
@@ -213,7 +213,7 @@ def check_setpoints(
     peaks = polynomial_peaks(travel, steps, rig.limits.stroke_m)
     fast = polynomial_peaks(derivative(travel), steps, rig.limits.speed)
     for number, motor in enumerate(rig.motors):
-        for what, unit, value, limit in (
+        for quantity, unit, value, limit in (
             ("travel", "m", peaks[number], rig.limits.stroke_m),
             ("speed", "m/s", fast[number], rig.limits.speed),
             (f"travel {where}", "m", np.max(ends_q[:, number]), home),
@@ -221,7 +221,7 @@ def check_setpoints(
         ):
             if not value <= limit * (1 + ROUNDING):
                 raise CycleError(
-                    f"{motor.name}: {what} is {value:.6g} {unit}, allowed: {limit:g} {unit}"
+                    f"{motor.name}: {quantity} is {value:.6g} {unit}, allowed: {limit:g} {unit}"
                 )
 
 

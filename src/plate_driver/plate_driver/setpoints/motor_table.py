@@ -158,23 +158,23 @@ def prepare(
     running = None
     if not (cycle.starts_at_rest or (cycle.tail is None and cycle.closes)):
         running = _find_continued_cycle(cycle, before, correction)
-        whole = _start_at_end_of(cycle, running)
+        playable = _start_at_end_of(cycle, running)
     elif cycle.tail is None:
-        whole = add_fades(cycle, repeats)
+        playable = add_fades(cycle, repeats)
     else:
-        whole = cycle if correction is None else unspliced(cycle)
-    lengths = [(cycle.period, "period"), (whole.period, "period")]
-    if whole.tail is not None:
-        lengths.append((whole.tail.period, "tail"))
+        playable = cycle if correction is None else unspliced(cycle)
+    lengths = [(cycle.period, "period"), (playable.period, "period")]
+    if playable.tail is not None:
+        lengths.append((playable.tail.period, "tail"))
     for length, name in lengths:
         if not PERIOD_S[0] <= length <= PERIOD_S[1]:
-            fades = f" ({whole.period:g} s with fades)" if whole.period > cycle.period else ""
+            fades = f" ({playable.period:g} s with fades)" if playable.period > cycle.period else ""
             value = f"{length:g} s" if name == "tail" else f"{cycle.period:g} s{fades}"
             raise CycleError(
                 f"plate_cycle: {name} is {value}, allowed: {PERIOD_S[0]:g} to {PERIOD_S[1]:g} s"
             )
-    fitted = fit(rig, whole, thermal_load)
-    if fitted.factor < 1 and not whole.starts_at_rest:
+    fitted = fit(rig, playable, thermal_load)
+    if fitted.factor < 1 and not playable.starts_at_rest:
         raise CycleError(
             f"plate_cycle: {excess_text(rig, fitted.requested, thermal_load)}; the cycle begins in "
             "motion, so it cannot be scaled down. The plate comes to rest; cycles from rest can "
@@ -212,7 +212,7 @@ def _find_continued_cycle(
         raise CycleError(
             "plate_cycle: begins in motion, but a calibration requires a cycle that begins at rest"
         )
-    running = next((one for one in reversed(before) if cycle.follows(one)), None)
+    running = next((earlier for earlier in reversed(before) if cycle.follows(earlier)), None)
     if running is None:
         end = before[-1].state(-1) if before else np.zeros((3, 3))
         pose, twist, accel = np.max(np.abs(cycle.state(0) - end), axis=1)

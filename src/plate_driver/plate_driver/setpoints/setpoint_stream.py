@@ -183,14 +183,14 @@ def _rest_ticks(end: int) -> list[int]:
 def refined(table: MotorTable) -> tuple[Knot, ...]:
     """Return a table's motion without its tail, with pieces of at most `MAX_S`."""
     times = table.cycle.times
-    own = [values[: len(times)] for values in (table.q, table.qd, table.qdd)]
+    states_at_knots = [values[: len(times)] for values in (table.q, table.qd, table.qdd)]
     steps = np.diff(times)
     counts = np.ceil(steps / MAX_S).astype(int)
     part = np.concatenate([np.arange(n) / n for n in counts]) * np.repeat(steps, counts)
     t = np.append(np.repeat(times[:-1], counts) + part, times[-1])
-    pieces = quintic_pieces(times, *own)
+    pieces = quintic_pieces(times, *states_at_knots)
     states = [evaluate_pieces(times, pieces, t, order) for order in range(3)]
-    for state, exact in zip(states, own, strict=True):
+    for state, exact in zip(states, states_at_knots, strict=True):
         state[-1] = exact[-1]
     return _round_knots(t, *states)
 

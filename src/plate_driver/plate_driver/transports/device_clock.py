@@ -108,9 +108,14 @@ class DeviceClock:
     ) -> DeviceClock:
         """Return the clock after a message that shows that the offset is between `earliest` and
         `latest` [s]."""
-        own, back = device_us * 1e-6, self.device_us - device_us
+        device_s, back = device_us * 1e-6, self.device_us - device_us
         restarted = replace(
-            self, earliest=earliest, latest=latest, at=now, since=(now, own), device_us=device_us
+            self,
+            earliest=earliest,
+            latest=latest,
+            at=now,
+            since=(now, device_s),
+            device_us=device_us,
         )
         if back > 0:  # messages arrive in order, so a step backwards is an error
             return restarted._add_problem(f"went back by {1e-6 * back:.3f} s", now, strikes=True)
@@ -120,7 +125,7 @@ class DeviceClock:
         fast = latest < self.earliest - drift
         earliest, latest = max(self.earliest - drift, earliest), min(self.latest + drift, latest)
         if earliest > latest + TICK_S:
-            ran, passed = own - self.since[1], now - self.since[0]
+            ran, passed = device_s - self.since[1], now - self.since[0]
             return restarted._add_problem(f"ran {ran:.3f} s in {passed:.3f} s", now, strikes=fast)
         # due to rounding, `earliest` may exceed `latest` by up to a tick
         middle = (earliest + latest) / 2

@@ -192,8 +192,8 @@ class LineModel:
         of at least 1 - `UNANSWERED`."""
         if not self.lossy:
             return 1
-        none = log1p(-self.arriving(size + ANSWER_BYTES))
-        return min(MAX_COPIES, ceil(log(UNANSWERED) / none))
+        log_loss = log1p(-self.arriving(size + ANSWER_BYTES))
+        return min(MAX_COPIES, ceil(log(UNANSWERED) / log_loss))
 
     @property
     def telemetry_timeout_s(self) -> float:

@@ -502,8 +502,8 @@ class SerialTransport:
             return order.complete(self._unfit.text)
         report = self.report()
         if report.condition is Condition.GONE or telemetry is None:
-            again = CALL_AGAIN if report.reason in UNCONNECTED else ""
-            return order.complete(report.text + again)
+            hint = CALL_AGAIN if report.reason in UNCONNECTED else ""
+            return order.complete(report.text + hint)
         # Refuse the enable command, because it is unknown which stop it would end.
         if self._stops or self._link.fresh_telemetry is None:
             return order.complete(
@@ -780,9 +780,9 @@ def limit_differences(device: Capabilities, limits: Limits) -> str:
         "following error [m]": (device.following_m, limits.following_error_m),
     }
     wrong = [
-        f"{name} {own:.4g}, rig file {rig:.4g}"
-        for name, (own, rig) in pairs.items()
-        if abs(own - rig) > ROUNDING * abs(rig)
+        f"{name} {reported:.4g}, rig file {rig:.4g}"
+        for name, (reported, rig) in pairs.items()
+        if abs(reported - rig) > ROUNDING * abs(rig)
     ]
     return f"the device's limits differ from the rig's: {', '.join(wrong)}" if wrong else ""
 

@@ -55,15 +55,15 @@ capability CAP_SYS_NICE to set this value."""
 @contextlib.contextmanager
 def urgent() -> Iterator[None]:
     """Give this thread, and threads that are started in the context, a high priority."""
-    own = threading.get_native_id()
-    before = os.getpriority(os.PRIO_PROCESS, own)
+    thread_id = threading.get_native_id()
+    before = os.getpriority(os.PRIO_PROCESS, thread_id)
     with contextlib.suppress(OSError):
-        os.setpriority(os.PRIO_PROCESS, own, URGENT)
+        os.setpriority(os.PRIO_PROCESS, thread_id, URGENT)
     try:
         yield
     finally:
         with contextlib.suppress(OSError):
-            os.setpriority(os.PRIO_PROCESS, own, before)
+            os.setpriority(os.PRIO_PROCESS, thread_id, before)
 
 
 class Latch:

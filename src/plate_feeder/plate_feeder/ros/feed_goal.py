@@ -65,9 +65,9 @@ class FeedGoal:
                 self._number, self._tries = self._number + 1, 0
                 self._id = new_goal_id()
             self._sent, self._ending, self._tries = True, 0, self._tries + 1
-            number, again, self._answer_by = self._number, self._tries > 1, now + ANSWER_S
+            number, is_repeated, self._answer_by = self._number, self._tries > 1, now + ANSWER_S
             future = self._client.send_goal_async(self._goal, goal_uuid=self._id)
-            future.add_done_callback(lambda done: self._on_answer(number, again, done))
+            future.add_done_callback(lambda done: self._on_answer(number, is_repeated, done))
 
     def on_task_status(self, status: TaskStatus) -> None:
         """Process a `task_status` message of the planner. This method detects that the planner has
@@ -98,13 +98,13 @@ class FeedGoal:
         self._handle = None
         self._ended(status)
 
-    def _on_answer(self, number: int, again: bool, future: Any) -> None:
+    def _on_answer(self, number: int, is_repeated: bool, future: Any) -> None:
         handle = future.result()
         is_newest = self._sent and number == self._number
         if is_newest and self.runs:
             return
         # rclpy refuses a goal that is sent again with the same id
-        if handle is not None and (handle.accepted or again):
+        if handle is not None and (handle.accepted or is_repeated):
             handle.get_result_async().add_done_callback(lambda done: self._on_end(number, done))
             if is_newest:
                 self._handle, self.runs = handle, True

@@ -185,7 +185,7 @@ class CycleLog:
     def until_answer(self) -> CycleLog:
         """Predicted log at the time when the solver's result for the running cycle begins. Results
         that were sent earlier begin before this result."""
-        log, before = self, [one.cycle for one in self.sent][::-1]
+        log, before = self, [sent.cycle for sent in self.sent][::-1]
         for k in reversed(range(self.delay)):  # the newest result is the last one to be executed
             cycle = log.next(before[k : k + 1])
             log = replace(log, runs=(*log.runs, (log.end, cycle)))
@@ -210,9 +210,9 @@ class CycleLog:
         if requested is None:
             requested = self.begin if self.runs else arrival
         before = self.sent[-LATEST:] if math.isfinite(self.last_report) else ()
-        one = Sent(arrival, cycle, requested)
-        awaited = one if cycle.moves else self.awaited
-        return replace(self, sent=(*before, one), answered_start=requested, awaited=awaited)
+        sent = Sent(arrival, cycle, requested)
+        awaited = sent if cycle.moves else self.awaited
+        return replace(self, sent=(*before, sent), answered_start=requested, awaited=awaited)
 
     def started(self, cycle: PlateCycle, begin: float, triggered: bool = False) -> CycleLog:
         """Record the report that the plate began a cycle at the time `begin` [s]. A repeated report
@@ -260,7 +260,7 @@ class CycleLog:
         """Return the index in `sent` of a cycle that has begun, or None if `sent` does not contain
         this cycle."""
         return next(
-            (k for k, one in enumerate(self.sent) if _is_same_cycle(one.cycle, cycle)), None
+            (k for k, sent in enumerate(self.sent) if _is_same_cycle(sent.cycle, cycle)), None
         )
 
     def _updated_delays(
@@ -334,12 +334,12 @@ class CycleLog:
 
     def _begin_cycle(self, t: float) -> CycleLog:
         """Return the log after the next cycle has begun at time t [s]."""
-        arrived = [one for one in self.sent if in_time(one.arrival, t)]
+        arrived = [sent for sent in self.sent if in_time(sent.arrival, t)]
         if self.delay:
             cycles = self.delay + 1 - SNAP
-            arrived = [one for one in arrived if one.requested + cycles * one.cycle.period <= t]
+            arrived = [sent for sent in arrived if sent.requested + cycles * sent.cycle.period <= t]
         waiting = [
-            one.cycle for one in arrived if not any(one.cycle is run for _, run in self.runs)
+            sent.cycle for sent in arrived if not any(sent.cycle is run for _, run in self.runs)
         ]
         if not (self.runs or waiting):
             return self
@@ -354,19 +354,19 @@ class CycleLog:
     def _updated_awaited(self, cycle: PlateCycle) -> Sent | None:
         """Return the value of `awaited` after `cycle` has begun. The value is None if `cycle` is
         the awaited cycle."""
-        one = self.awaited
-        return None if one is not None and _is_same_cycle(one.cycle, cycle) else one
+        awaited = self.awaited
+        return None if awaited is not None and _is_same_cycle(awaited.cycle, cycle) else awaited
 
     def may_move(self, t: float) -> bool:
         """Whether the cycle `awaited` may still begin after the time t [s].
 
         If the driver has accepted this cycle, it starts at the end of the running cycle.
         """
-        one = self.awaited
+        awaited = self.awaited
         # this request is in the future, because the clock was set back
-        if one is None or one.requested > t + MEMORY_S:
+        if awaited is None or awaited.requested > t + MEMORY_S:
             return False
-        return t < one.requested + MAX_AGE_S + one.cycle.period
+        return t < awaited.requested + MAX_AGE_S + awaited.cycle.period
 
     def between(self, begin: float, end: float) -> Iterator[tuple[PlateCycle, float, float, float]]:
         """Yield the parts of all runs that are between the times `begin` and `end` [s]. Each item
@@ -405,9 +405,9 @@ def check_start(cycle: PlateCycle, begin: float, image: float | None) -> None:
         )
 
 
-def _is_same_cycle(one: PlateCycle, other: PlateCycle) -> bool:
+def _is_same_cycle(first: PlateCycle, second: PlateCycle) -> bool:
     """Whether two cycles have equal knot poses, up to rounding. Times are not compared."""
-    a, b = one.knot_pose, other.knot_pose
+    a, b = first.knot_pose, second.knot_pose
     return a.shape == b.shape and bool(np.all(np.abs(a - b) < SAME_POSE))
 
 

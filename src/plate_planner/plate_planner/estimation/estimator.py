@@ -191,11 +191,11 @@ class DriftBias:
         return DriftBias(parts.ids, drift, parts.position)
 
     def with_prediction(
-        self, place: np.ndarray, t: float, at: float, latency: float | None
+        self, place: np.ndarray, t: float, stamp: float, latency: float | None
     ) -> DriftBias:
         """Return the observer with a new prediction. The positions `place` (M, 2) [m] are predicted
-        for the time `at` [s] with information up to the time t [s]."""
-        return replace(self, place=place, stamp=at, span=at - t, latency=latency)
+        for the time `stamp` [s] with information up to the time t [s]."""
+        return replace(self, place=place, stamp=stamp, span=stamp - t, latency=latency)
 
     def along(self, axes: np.ndarray) -> np.ndarray:
         """Return the drift errors (M, 2) [m/s] of the parts in the frame plate_home. `axes`

@@ -179,8 +179,8 @@ class StateEstimate:
         mean, covariance = now._propagate(rows, log, time[:, old], friction_accel)
         mean, covariance, fit = kalman_update(mean, covariance, place[old], jitter, now.usual[rows])
         after = [now.mean.copy(), now.covariance.copy(), now.time.copy()]
-        for whole, piece in zip(after, (mean, covariance, time[:, old]), strict=True):
-            whole[:, rows] = piece
+        for values, piece in zip(after, (mean, covariance, time[:, old]), strict=True):
+            values[:, rows] = piece
         drift, unseen = now.drift.copy(), now.unseen + 1
         drift[rows], unseen[rows] = parts.velocity[old], 0
         count = len(time)

@@ -166,8 +166,8 @@ class FrameClock:
         max_frames = int(np.ceil(np.max((stamp - self.time[:, 0]) / self.time[:, 1]))) + 1
         count = np.arange(1, max(max_frames, 1) + 1)
         late = stamp - self.time[:, :1] - self.time[:, 1:] * count
-        (one, both), (_, interval) = self.covariance
-        spread = one + 2 * count * both + count**2 * interval + self.noise_s**2
+        (of_time, of_both), (_, of_interval) = self.covariance
+        spread = of_time + 2 * count * of_both + count**2 * of_interval + self.noise_s**2
         likely = self.log_likelihood[:, None] + (count - 1) * np.log(DROPPED)
         likely = likely - (late**2 / spread + np.log(spread)) / 2
         frame = self.frame[:, None] + count

@@ -88,16 +88,16 @@ class Overlooked:
         candidates = []
         for thing in things:
             place = np.array([thing.x, thing.y])
-            whole = bool(np.all(np.abs(place) + thing.radius <= inner))
-            away = np.hypot(*(parts.position - place).T)  # distance from the published parts
-            if low <= thing.radius <= high and whole and not np.any(away < thing.radius):
+            is_inside = bool(np.all(np.abs(place) + thing.radius <= inner))
+            distance = np.hypot(*(parts.position - place).T)  # distance from the published parts
+            if low <= thing.radius <= high and is_inside and not np.any(distance < thing.radius):
                 candidates.append(thing)
         self.images.append(tuple(candidates))
 
     @property
     def count(self) -> int:
         """Median of the number of overlooked objects in the last images."""
-        return int(np.median([len(one) for one in self.images])) if self.images else 0
+        return int(np.median([len(image) for image in self.images])) if self.images else 0
 
     @property
     def text(self) -> str:
@@ -106,7 +106,7 @@ class Overlooked:
         count = self.count
         if not count:
             return ""
-        shown = next(one for one in reversed(self.images) if len(one) >= count)
+        shown = next(image for image in reversed(self.images) if len(image) >= count)
         places = [f"{thing.reason} {_place_text(thing.x, thing.y)}" for thing in shown[:count]]
         more = "1 undetected object"
         if count > 1:

@@ -55,8 +55,8 @@ def loss_of(
         return Failure(Reason.PART_UNSEEN, f"{name} was not detected; {CHECK_IMAGE}")
     x, y = last.position
     where = f"at ({x:.3f}, {y:.3f}) m, {last.stamp - began:.1f} s after the start"
-    away = np.hypot(*(parts.position - last.position).T)
-    for row in np.flatnonzero(away < SAME_PLACE * rig.parts.radius_m):
+    distance = np.hypot(*(parts.position - last.position).T)
+    for row in np.flatnonzero(distance < SAME_PLACE * rig.parts.radius_m):
         if part_class(parts.ids[row]) in NAMELESS:
             text = f"{name} was last detected {where}, where {parts.ids[row]} is now"
             return Failure(

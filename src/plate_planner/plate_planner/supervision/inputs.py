@@ -174,7 +174,7 @@ class Inputs:
     def driver_received(self, now: float, status: DriverStatus) -> Inputs:
         """Record that a message driver_status has arrived."""
         ready = status.state is DriverState.READY
-        again = ready and self.enabled_ns not in (None, status.enabled_ns)
+        enabled_again = ready and self.enabled_ns not in (None, status.enabled_ns)
         since = now if self.error_since is None else self.error_since
         return replace(
             self,
@@ -182,7 +182,7 @@ class Inputs:
             driver_status=status,
             error_since=since if status.state is DriverState.ERROR else None,
             enabled_ns=status.enabled_ns if ready else self.enabled_ns,
-            enabled_again=now if again else self.enabled_again,
+            enabled_again=now if enabled_again else self.enabled_again,
         )
 
     def report_received(self, now: float, name: str, level: Level, message: str) -> Inputs:
@@ -369,10 +369,10 @@ class Inputs:
         Messages that arrived during such a stall appear to be new afterwards, although the driver
         has stopped the plate.
         """
-        away = now - self.ran
-        if away <= self.timeout(period):
+        stalled_s = now - self.ran
+        if stalled_s <= self.timeout(period):
             return None
-        return Failure(Reason.STOOD_STILL, f"the planner was stalled for {away:.1f} s")
+        return Failure(Reason.STOOD_STILL, f"the planner was stalled for {stalled_s:.1f} s")
 
     def ran_at(self, now: float) -> Inputs:
         """Return the inputs with `now` as the time at which the planner was last active."""

@@ -190,10 +190,10 @@ def missing_parts(scenario: Scenario, known: tuple[str, ...], parts: Parts) -> t
     """Return names of the scenario's parts that are missing. If the ids of missing parts are in
     `known`, the names are these ids. Otherwise, the name contains the class and the number of
     missing parts."""
-    there = Counter(part_class(i) for i in parts.ids)
+    present = Counter(part_class(i) for i in parts.ids)
     names: list[str] = []
     for label, count in Counter(scenario.labels).items():
-        short = count - there[label]
+        short = count - present[label]
         if short <= 0:
             continue
         absent = [i for i in known if part_class(i) == label and i not in parts.ids]
@@ -239,10 +239,12 @@ def begin(
     if again and not missing:
         return replace(state, waiting_since=waiting_since, began=t)
     if t - waiting_since > limits.start_timeout_s + TIME_TOLERANCE_S:
-        what = "no two images with equal parts within"
+        problem = "no two images with equal parts within"
         if missing:
-            what = f"{_join_names(missing)} not detected within"
-        why = _join_texts(f"{what} {limits.start_timeout_s:g} s of the start", others, CHECK_IMAGE)
+            problem = f"{_join_names(missing)} not detected within"
+        why = _join_texts(
+            f"{problem} {limits.start_timeout_s:g} s of the start", others, CHECK_IMAGE
+        )
         return _end_task(state, t, Phase.ABORTED, Reason.PARTS_MISSING, why)
     return replace(state, waiting_since=waiting_since)
 

@@ -240,7 +240,7 @@ class Feeder(TaskRules):
             seen, now.parts.take(hidden)
         )  # also keep clearance from parts that the image does not show
         gap = free_gap(every, self.rig)
-        here = np.arange(len(every)) < len(seen)
+        is_seen = np.arange(len(every)) < len(seen)
         ready = np.zeros(len(every), dtype=bool)
         for pick in self._picks:
             ready |= ready_parts(every, pick, self.task.clearance_m, self.rig, gap)
@@ -249,7 +249,7 @@ class Feeder(TaskRules):
             last = [memory.place.get(name, (np.inf, np.inf)) for name in every.ids]
             moved = np.hypot(*(every.position - np.reshape(last, (-1, 2))).T)
             ready &= moved <= STILL_M
-        ready &= here
+        ready &= is_seen
         discharged, lost = before.discharged, before.lost
         new = every.take([i for i, name in enumerate(every.ids) if name not in memory.place])
         for name, place in () if now.kept else memory.place.items():
@@ -281,12 +281,12 @@ class Feeder(TaskRules):
         """Return the side over which a vanished part has left the plate, or None if it has not left
         the plate. `place` (2,) [m] is the last position of the part."""
         reach = self.rig.part_type(part_class(name)).reach_m
-        away = self.rig.plate.half - np.abs(place)
-        axis = int(np.argmin(away))
+        to_edge = self.rig.plate.half - np.abs(place)
+        axis = int(np.argmin(to_edge))
         sign = 1 if place[axis] > 0 else -1
         side = (sign, 0) if axis == 0 else (0, sign)
         near = NEAR_CHUTE if side == self._chute_side else NEAR_EDGE
-        return side if away[axis] <= near * reach else None
+        return side if to_edge[axis] <= near * reach else None
 
     def _is_clearing_needed(self, memory: FeedMemory, parts: Parts, near: np.ndarray) -> bool:
         """Whether the unwanted parts must move to the chute now. Unwanted parts must move if there
@@ -457,17 +457,17 @@ def _has_new_id(parts: Parts, name: str, place: tuple[float, float]) -> bool:
     """Whether one of the parts has the same class as the vanished part `name` and is close to its
     last place (x, y). In this case, both are the same part, which has got a new id."""
     same = [part_class(each) == part_class(name) for each in parts.ids]
-    away = np.hypot(*(parts.position - place).T)
-    return bool(np.any(away[np.array(same, dtype=bool)] <= RENAMED_M))
+    distance = np.hypot(*(parts.position - place).T)
+    return bool(np.any(distance[np.array(same, dtype=bool)] <= RENAMED_M))
 
 
-def _concatenate_parts(one: Parts, other: Parts) -> Parts:
+def _concatenate_parts(first: Parts, second: Parts) -> Parts:
     """Concatenate two groups of parts."""
     return Parts.make(
-        (*one.ids, *other.ids),
-        np.vstack([one.position, other.position]),
-        np.vstack([one.velocity, other.velocity]),
-        np.append(one.angle, other.angle),
-        np.append(one.spin, other.spin),
-        np.append(one.friction_limit, other.friction_limit),
+        (*first.ids, *second.ids),
+        np.vstack([first.position, second.position]),
+        np.vstack([first.velocity, second.velocity]),
+        np.append(first.angle, second.angle),
+        np.append(first.spin, second.spin),
+        np.append(first.friction_limit, second.friction_limit),
     )

@@ -292,9 +292,9 @@ class Follower(TaskRules):
         # If no cycle has run yet, begin the references one cycle later. The exact period is known
         # only after the first cycle.
         start = now.start if now.motion_known else now.start + now.period
-        again = self.begin(now.parts, start)
+        restarted = self.begin(now.parts, start)
         if not now.latency_known:
-            again = replace(again, scaling=(SLOW_START, SLOW_START))
+            restarted = replace(restarted, scaling=(SLOW_START, SLOW_START))
         led = 0.0 if memory is None else memory.approach_s
         if memory is not None and memory.leading:
             led += max(start - memory.began, 0.0)
@@ -303,7 +303,7 @@ class Follower(TaskRules):
             > self._approach_rules.task.tolerance_m
         )
         leading = (memory is None or memory.leading) and bool(np.any(far))
-        return replace(again, leading=leading, approach_s=led)
+        return replace(restarted, leading=leading, approach_s=led)
 
     def _assess_approach(self, memory: FollowMemory, now: Situation) -> Assessment:
         """Return the assessment of an image while parts move to the starts of their paths. The
@@ -414,15 +414,15 @@ class Follower(TaskRules):
         a/v for each second of path time before a corner.
         """
         accel, fastest = CORNER_ACCEL * self.rig.friction.accel, float(np.max(self._path_speeds))
-        away = np.arange(0.0, fastest / (2 * accel) + period, period / CLOSE)
-        change = np.zeros(len(away))
+        ahead = np.arange(0.0, fastest / (2 * accel) + period, period / CLOSE)
+        change = np.zeros(len(ahead))
         for path in self.paths:
-            before, there, after = (
-                path.position(time + away + shift) for shift in (-period, 0.0, period)
+            before, middle, after = (
+                path.position(time + ahead + shift) for shift in (-period, 0.0, period)
             )
-            change = np.maximum(change, np.hypot(*(after - 2 * there + before).T))
+            change = np.maximum(change, np.hypot(*(after - 2 * middle + before).T))
         slow = accel * period**2 / np.maximum(change, 1e-12)
-        return float(np.sqrt(np.min(slow**2 + 2 * accel / fastest * away)))
+        return float(np.sqrt(np.min(slow**2 + 2 * accel / fastest * ahead)))
 
     def reference(self, memory: FollowMemory, t: float) -> np.ndarray:
         """Return the reference position on each path (P, 2) [m, plate_home] at the time t [s]."""

@@ -93,13 +93,13 @@ class Mover(TaskRules):
         places = zip(parts.ids, parts.position.tolist(), strict=True)
         memory = MoveMemory({name: before.get(name, (x, y)) for name, (x, y) in places})
         remaining = self.remaining(memory, parts)
-        there = remaining.requested & (remaining.distance <= self.task.tolerance_m)
-        there &= np.abs(remaining.missing) <= self.task.tolerance_rad
+        reached = remaining.requested & (remaining.distance <= self.task.tolerance_m)
+        reached &= np.abs(remaining.missing) <= self.task.tolerance_rad
         reach = np.array([part.reach_m for part in self._part_types(parts)])
         distance = np.where(
             remaining.requested, remaining.distance + reach * np.abs(remaining.missing), 0.0
         )
-        error, count = remaining.distance[remaining.requested], int(np.count_nonzero(there))
+        error, count = remaining.distance[remaining.requested], int(np.count_nonzero(reached))
         ids = [target.id for target in self.task.targets]
         to_go = float(np.sum(distance))
         text = f"{count} of {len(ids)} at their targets, {1e3 * to_go:.0f} mm to go"
@@ -114,7 +114,7 @@ class Mover(TaskRules):
             max_error_m=float(np.max(error, initial=0.0)),
             turn_error=float(np.max(np.abs(remaining.missing), initial=0.0)),
             outcome=text,
-            doing="; ".join([text, *self._obstruction_texts(parts, remaining, there)]),
+            doing="; ".join([text, *self._obstruction_texts(parts, remaining, reached)]),
         )
 
     def remaining(self, memory: MoveMemory, parts: Parts) -> RemainingMotion:
@@ -152,14 +152,14 @@ class Mover(TaskRules):
         )
 
     def _obstruction_texts(
-        self, parts: Parts, remaining: RemainingMotion, there: np.ndarray
+        self, parts: Parts, remaining: RemainingMotion, reached: np.ndarray
     ) -> list[str]:
         """Return a text for each part that occupies the target of another part."""
         reach = np.array([part.reach_m for part in self._part_types(parts)])
         texts = []
-        for k in np.flatnonzero(remaining.requested & ~there):
-            away = np.hypot(*(parts.position - remaining.aim[k]).T)
-            on = away < reach + reach[k]
+        for k in np.flatnonzero(remaining.requested & ~reached):
+            distance = np.hypot(*(parts.position - remaining.aim[k]).T)
+            on = distance < reach + reach[k]
             on[k] = False
             name = parts.ids[k]
             texts += [f"{parts.ids[j]} is on the target of {name}" for j in np.flatnonzero(on)]

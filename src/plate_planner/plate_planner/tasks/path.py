@@ -63,8 +63,8 @@ class PolygonPath:
     @cached_property
     def duration(self) -> float:
         """Time from the first corner to the end of the last lap [s]."""
-        whole, part = divmod(self.laps, 1.0)
-        return float(whole * self._lap_time + self._time_at(part * self.length))
+        laps, fraction = divmod(self.laps, 1.0)
+        return float(laps * self._lap_time + self._time_at(fraction * self.length))
 
     def position(self, t: np.ndarray | float) -> np.ndarray:
         """Return the reference position (..., 2) [m, plate_home] at times t (...) [s].
@@ -89,8 +89,8 @@ class PolygonPath:
         """Return the time [s] from the start of a lap to an arc length [m]."""
         s, v, t = self.profile.T
         i = int(np.clip(np.searchsorted(s, along, side="right") - 1, 0, len(s) - 2))
-        there = np.interp(along, s, v)
-        return float(t[i] + (along - s[i]) / _log_mean(v[i], there))
+        speed = np.interp(along, s, v)
+        return float(t[i] + (along - s[i]) / _log_mean(v[i], speed))
 
     def _arc_length_at(self, t: np.ndarray | float) -> np.ndarray:
         """Return the arc length from the start of the lap to the reference position (...) [m]. The

@@ -99,8 +99,8 @@ class Poser(TaskRules):
         without a pose."""
         distance, angle = np.zeros(len(parts)), np.zeros(len(parts))
         pose, part = matched_rows(memory.match, parts)
-        away = np.hypot(*(memory.place[pose] - parts.position[part]).T)
-        distance[part] = np.nan_to_num(away)
+        to_pose = np.hypot(*(memory.place[pose] - parts.position[part]).T)
+        distance[part] = np.nan_to_num(to_pose)
         for k, row in zip(pose, part, strict=True):
             angle[row] = self._remaining_rotation(self.task.poses[k], parts.angle[row])
         return distance, angle
@@ -108,9 +108,9 @@ class Poser(TaskRules):
     def count(self, memory: PoseMemory, parts: Parts) -> int:
         """Return the number of parts that have reached their poses."""
         distance, angle = self.errors(memory, parts)
-        there = distance <= self.task.tolerance_m
-        there &= np.abs(angle) <= self.task.tolerance_rad
-        return int(np.count_nonzero(there[matched_rows(memory.match, parts)[1]]))
+        reached = distance <= self.task.tolerance_m
+        reached &= np.abs(angle) <= self.task.tolerance_rad
+        return int(np.count_nonzero(reached[matched_rows(memory.match, parts)[1]]))
 
     def problem(self, memory: PoseMemory, parts: Parts) -> str:
         """Return a text about the part that is farthest from the position at which it must stay.

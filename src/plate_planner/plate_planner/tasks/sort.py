@@ -84,8 +84,8 @@ class Sorter(TaskRules):
                 slot = self._bins[group.label][1]
                 capacity, hint = len(slot), f"{SLOT_SPACING:g} part radii apart"
                 if len(slot):
-                    away = np.min(self.rig.plate.half - np.abs(slot))
-                    hint += f", the nearest {1e3 * away:.3g} mm from the plate's edges"
+                    to_edge = np.min(self.rig.plate.half - np.abs(slot))
+                    hint += f", the nearest {1e3 * to_edge:.3g} mm from the plate's edges"
             else:
                 capacity = self._capacity(group.label, region)
                 hint = "touching; a lower goal_fraction gives more space"
@@ -144,8 +144,8 @@ class Sorter(TaskRules):
         short = np.where(sign != 0, np.maximum(goal - position * sign, 0), 0)
         # A part on the goal line is not in its region yet.
         on_line = np.any((sign != 0) & (position * sign <= goal), axis=-1)
-        away = np.hypot(short[..., 0], short[..., 1])
-        result = np.maximum(away, np.where(on_line, np.finfo(float).tiny, 0))
+        distance = np.hypot(short[..., 0], short[..., 1])
+        result = np.maximum(distance, np.where(on_line, np.finfo(float).tiny, 0))
         result[..., ~np.any(sign, axis=1)] = np.nan
         for rows, region, _ in self._parts_by_bin(ids):
             result[..., rows] = shapely.distance(region, shapely.points(position[..., rows, :]))
@@ -266,8 +266,8 @@ def _grid_slots(region: Bin, edge_m: float, rig: Rig) -> np.ndarray:
         start = low + clear + spacing * np.array(shift) / GRID_TRIES
         axes = [np.arange(a, b - clear + 1e-9, spacing) for a, b in zip(start, high, strict=True)]
         point = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
-        away = shapely.distance(outline.exterior, shapely.points(point))
-        fits = shapely.contains_xy(outline, *point.T) & (away >= clear - 1e-9)
+        to_edge = shapely.distance(outline.exterior, shapely.points(point))
+        fits = shapely.contains_xy(outline, *point.T) & (to_edge >= clear - 1e-9)
         if np.sum(fits) > len(best):
             best = point[fits]
     return best

@@ -504,9 +504,9 @@ class Camera:
         shadows are drawn part by part instead of layer by layer. The part that is farthest from the
         point below the camera is drawn first.
         """
-        own, path, count = scene.top, scene.seen, scene.seen.shape[1]
+        top_outlines, path, count = scene.top, scene.seen, scene.seen.shape[1]
         cos_sin, level = np.stack([np.cos(angle), np.sin(angle)], axis=1), np.array([1.0, 0.0])
-        layers = [_Layer(1, path, own, 1.0, cos_sin)]
+        layers = [_Layer(1, path, top_outlines, 1.0, cos_sin)]
         size = np.ones(count) if scene.size is None else scene.size
         if lighting.shadows:
             # A shadow is drawn as several layers with the same opacity. Where all layers overlap,
@@ -533,21 +533,25 @@ class Camera:
             )
             layers.insert(first, _Layer(4, scene.path + part * rise / 2, outlines, 1.0, level))
         if marked:
-            marks = own.discs(MARK_RADIUS * own.reach)
-            there = path + MARK_PLACE * own.reach[:, None] * cos_sin
+            marks = top_outlines.discs(MARK_RADIUS * top_outlines.reach)
+            there = path + MARK_PLACE * top_outlines.reach[:, None] * cos_sin
             layers.append(_Layer(2, there, marks, 1.0, cos_sin))
         if lighting.highlights or lighting.gloss:
-            x, y, depth, area = own.spot.T
+            x, y, depth, area = top_outlines.spot.T
             (c, s), there = cos_sin.T, np.empty((count, 2))
             there[:, 0], there[:, 1] = c * x - s * y, s * x + c * y
         if lighting.highlights:
             radius = np.minimum(
                 np.sqrt(lighting.highlights * area / np.pi), HIGHLIGHT_WIDEST * depth
             )
-            layers.append(_Layer(3, path + there, own.discs(radius), HIGHLIGHT_OPACITY, cos_sin))
+            layers.append(
+                _Layer(3, path + there, top_outlines.discs(radius), HIGHLIGHT_OPACITY, cos_sin)
+            )
         if lighting.gloss:
             there = there - GLOSS_PLACE * depth[:, None] * lighting.shadow_direction
-            layers.append(_Layer(3, path + there, own.discs(lighting.gloss * depth), 1.0, cos_sin))
+            layers.append(
+                _Layer(3, path + there, top_outlines.discs(lighting.gloss * depth), 1.0, cos_sin)
+            )
         every = [layer.outlines for layer in layers]
         there, outlines = (
             np.concatenate([layer.path for layer in layers], axis=1),
@@ -563,9 +567,9 @@ class Camera:
         if scene.growth is not None:
             # A part hides parts that are farther from the point below the camera. Therefore the
             # farthest part is drawn first.
-            away = np.hypot(*(scene.path.mean(axis=0) - scene.low).T)
+            distance = np.hypot(*(scene.path.mean(axis=0) - scene.low).T)
             rank = np.empty(count, int)
-            rank[np.argsort(-away, kind="stable")] = np.arange(count)
+            rank[np.argsort(-distance, kind="stable")] = np.arange(count)
             layer = np.repeat(np.arange(len(layers)), count)
             part = np.tile(rank, len(layers))
             order = np.lexsort((layer, np.where(layer < first, -1, part)))
@@ -632,9 +636,9 @@ class Camera:
         """Repaint the pixels that differ between a plate at home and a plate that moves through the
         poses `poses` (s, 3). Only the image rows from rows[0] to rows[1] - 1 are repainted."""
         corners = np.array([to_home(pose, self._rig.plate.corners) for pose in poses])
-        away = np.linalg.norm(corners - self._rig.plate.corners, axis=2).max()
+        shift_px = np.linalg.norm(corners - self._rig.plate.corners, axis=2).max()
         travel = np.linalg.norm(np.diff(corners, axis=0), axis=2).sum(axis=0).max()
-        steps = int(np.ceil((away + 1 / self._scale) / STRIP_STEP))
+        steps = int(np.ceil((shift_px + 1 / self._scale) / STRIP_STEP))
         if steps not in self._edge:
             self._edge[steps] = np.flatnonzero(self._edge_distance <= steps * STRIP_STEP)
         first, end = np.searchsorted(self._edge[steps], rows * canvas.shape[1])

@@ -58,8 +58,8 @@ class Outlines(NamedTuple):
 
     def discs(self, radius: np.ndarray) -> Outlines:
         """Return the outlines of n discs with the radii `radius` (n,) [m]."""
-        none = np.zeros(len(radius), np.int64)
-        return self._replace(first=none, hole=none, end=none, reach=radius)
+        no_edges = np.zeros(len(radius), np.int64)
+        return self._replace(first=no_edges, hole=no_edges, end=no_edges, reach=radius)
 
     def take(self, rows: np.ndarray) -> Outlines:
         """Return the outlines of the parts with the indices `rows` (k,)."""

@@ -50,9 +50,9 @@ def scale_outlines(outlines: Outlines, factor: np.ndarray) -> Outlines:
     for begin, end, size in zip(outlines.first, outlines.end, factor, strict=True):
         first.append(len(pieces) - 1)
         for piece in range(begin, end):
-            own = outlines.edges[outlines.pieces[piece] : outlines.pieces[piece + 1]]
-            edges.append(own * [1.0, 1.0, size])
-            pieces.append(pieces[-1] + len(own))
+            piece_edges = outlines.edges[outlines.pieces[piece] : outlines.pieces[piece + 1]]
+            edges.append(piece_edges * [1.0, 1.0, size])
+            pieces.append(pieces[-1] + len(piece_edges))
     start = np.array(first, np.int64)
     return Outlines(
         np.concatenate(edges), np.array(pieces),
@@ -99,16 +99,16 @@ def sweep_outlines(
         solid, holes = _convex_contours(part)
         c, s = cos_sin[rows].T
         rotation = np.stack([np.stack([c, -s], axis=1), np.stack([s, c], axis=1)], axis=1)
-        own = [
+        tangents = [
             _sweep_piece(piece, rotation, size[rows], growth[rows], shift[rows], kind)
             for kind, group in ((True, solid), (False, holes))
             for piece in group
         ]
-        edges.append(np.concatenate(own, axis=1).reshape(-1, 3))
-        sizes.append(np.tile([each.shape[1] for each in own], len(rows)))
-        first[rows] = begin + len(own) * np.arange(len(rows))
-        hole[rows], end[rows] = first[rows] + len(solid), first[rows] + len(own)
-        begin += len(own) * len(rows)
+        edges.append(np.concatenate(tangents, axis=1).reshape(-1, 3))
+        sizes.append(np.tile([each.shape[1] for each in tangents], len(rows)))
+        first[rows] = begin + len(tangents) * np.arange(len(rows))
+        hole[rows], end[rows] = first[rows] + len(solid), first[rows] + len(tangents)
+        begin += len(tangents) * len(rows)
     reach = np.array([part.reach_m for part in types]) * size
     reach = np.maximum(reach, growth * reach) + 0.5 * np.hypot(*shift.T)
     pieces = np.cumsum(np.concatenate(sizes))
@@ -193,14 +193,14 @@ def _polygon_tangents(
     found, touch = [], []
     for side in (1.0, -1.0):
         across = side * np.einsum("pmi,pni->pmn", normal, point)
-        own = np.einsum("pmm->pm", across)
-        beyond = np.max(across, axis=2) - own
+        own_offset = np.einsum("pmm->pm", across)
+        beyond = np.max(across, axis=2) - own_offset
         beyond = np.where(length > STRAIGHT, beyond, np.inf)
         best = np.argmin(beyond, axis=1)
         rows = np.arange(len(best))
         good = beyond[rows, best] < STRAIGHT
         found.append(side * normal[rows, best])
-        touch.append(np.where(good, own[rows, best], np.nan))
+        touch.append(np.where(good, own_offset[rows, best], np.nan))
     return np.stack(found, axis=1), np.stack(touch, axis=1)
 
 

@@ -189,9 +189,9 @@ class SimulatedDrives:
             self._time_since_sync_s,
             min(self._time_since_sync_s + TICK_S, CYCLE_S),
         )
-        whole = (self._to - self._from) / CYCLE_S
-        slope = whole * (self._time_since_sync_s - before) / TICK_S
-        return self._follow_setpoint(self._from + whole * self._time_since_sync_s, slope, BANDWIDTH)
+        speed = (self._to - self._from) / CYCLE_S
+        slope = speed * (self._time_since_sync_s - before) / TICK_S
+        return self._follow_setpoint(self._from + speed * self._time_since_sync_s, slope, BANDWIDTH)
 
     def _heartbeats(self) -> list[Frame]:
         beats = []

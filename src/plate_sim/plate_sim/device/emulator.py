@@ -148,20 +148,20 @@ class Emulator:
         received = self.to_device.arrived(now)
         if now < self._booting_until:
             device.sleep(now_us)
-            sent, at = b"", None
+            sent, setpoint = b"", None
         else:
             faults = Fault.SUPPLY if now < self._brown_out_until else Fault.NONE
             found = device.searches and now_us - device.enabled_us >= self._search_us
             idle = self.to_host.idle(now)
-            sent, at = device.tick(
+            sent, setpoint = device.tick(
                 now_us, self._measured, received[: device.room], faults, found, idle
             )
         self.triggered = device.triggered and not was_high
         if self.connected:
             self.to_host.sent(sent, now)
         if self._commanded is not None:
-            self._commanded(now, at)
-        segments = self._recorder.followed(now, device, at, self.triggered)
+            self._commanded(now, setpoint)
+        segments = self._recorder.followed(now, device, setpoint, self.triggered)
         moved = self.plate[::2] if self._suspended is None else self._suspended.moved(self.plate)
         if not self._jammed:
             self._measured = moved.astype(np.float32)

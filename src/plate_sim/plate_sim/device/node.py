@@ -81,8 +81,8 @@ class Options(NodeOptions):
     def schedule(self) -> FaultSchedule:
         """Schedule of faults that results from the node's parameters."""
         line = LineFaults(**{f.name: getattr(self, f.name) for f in fields(LineFaults)})
-        own = [f.name for f in fields(FaultSchedule) if f.name != "line"]
-        return FaultSchedule(line, **{name: getattr(self, name) for name in own})
+        field_names = [f.name for f in fields(FaultSchedule) if f.name != "line"]
+        return FaultSchedule(line, **{name: getattr(self, name) for name in field_names})
 
 
 class DeviceNode(SafeLifecycleNode[Options]):

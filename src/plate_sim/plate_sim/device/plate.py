@@ -101,12 +101,16 @@ class Recorder:
         return np.stack([place, speed, -(COAST_RATE**2) * place - 2 * COAST_RATE * speed])
 
     def followed(
-        self, now: float, device: Device | None, at: np.ndarray | None, triggered: bool = False
+        self,
+        now: float,
+        device: Device | None,
+        setpoint: np.ndarray | None,
+        triggered: bool = False,
     ) -> list[Segment]:
         """Record the state of the motors at the time `now` [s]. Return the segments that have ended
         since the last call.
 
-        `at` is the setpoint at the time `now`, or None while the motors have no current.
+        `setpoint` is the setpoint at the time `now`, or None while the motors have no current.
         `triggered` states whether the camera was triggered. If `device` is None, the attribute
         `table` of all segments is 0.
         """
@@ -117,10 +121,12 @@ class Recorder:
         elif play[:2] != self._play:
             ticks, states, _ = device.table()
             start = now - play[2] * TICK_S
-            whole = Segment(start, ticks * TICK_S, states.astype(float), device.playing)
-            done = self._end_segment(start, whole.motors[0])
-            self._whole, self._play = whole, play[:2]
-        state = self.coasted(now - self._ticks[-1][0]) if at is None else at.astype(float)
+            segment = Segment(start, ticks * TICK_S, states.astype(float), device.playing)
+            done = self._end_segment(start, segment.motors[0])
+            self._whole, self._play = segment, play[:2]
+        state = (
+            self.coasted(now - self._ticks[-1][0]) if setpoint is None else setpoint.astype(float)
+        )
         self._ticks.append((now, state))
         if triggered or (self._whole is None and now - self._start >= SEGMENT_S):
             done += self._end_segment(now, state)

@@ -48,7 +48,7 @@ class Line:
 
     def arrived(self, now: float) -> bytes:
         """Remove the bytes that have arrived by the time `now` [s], and return them."""
-        arrived_bytes = b"".join(data for at, data in self._in_transit if at <= now)
+        arrived_bytes = b"".join(data for arrival, data in self._in_transit if arrival <= now)
         if arrived_bytes or (self._in_transit and self._in_transit[0][0] <= now):
             self._in_transit = [item for item in self._in_transit if item[0] > now]
         return arrived_bytes

@@ -177,8 +177,10 @@ def disc(radius: float, *, mass: float = MASS) -> Footprint:
     radius, mass = _positive("radius", radius, "m"), _positive("mass", mass, "kg")
     corner = 2 * np.pi * np.arange(CORNERS_OF_DISC) / CORNERS_OF_DISC
     outline = radius * np.column_stack([np.cos(corner), np.sin(corner)])
-    none = np.empty(0)
-    return Footprint(mass, 0.5 * mass * radius**2, np.empty((0, 2)), none, none, (outline,), radius)
+    empty = np.empty(0)
+    return Footprint(
+        mass, 0.5 * mass * radius**2, np.empty((0, 2)), empty, empty, (outline,), radius
+    )
 
 
 def bar(length: float, width: float, *, mass: float = MASS, points: int = POINTS) -> Footprint:

@@ -45,8 +45,8 @@ def _footprint(part: PartType) -> Footprint:
     # the part. With this transformation, the centre of mass and the inertia are exact.
     place = place - weight @ place
     true_area, _, second = moments(part.polygon, holes)
-    own = np.linalg.cholesky((weight[:, None] * place).T @ place)
-    place = place @ np.linalg.inv(own).T @ np.linalg.cholesky(second / true_area).T
+    root = np.linalg.cholesky((weight[:, None] * place).T @ place)
+    place = place @ np.linalg.inv(root).T @ np.linalg.cholesky(second / true_area).T
     outline = (part.polygon,) if part.radius_m else tuple(convex_pieces(part.polygon))
     inertia = mass * float(np.trace(part.spread_m2))
     return Footprint(mass, inertia, place, weight, CELL * np.sqrt(area), outline, part.radius_m)

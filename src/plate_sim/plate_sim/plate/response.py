@@ -129,11 +129,11 @@ def _simulate_response(
     """Compute the motion for the initial deviation `deviation` (n,). Return the motion, and the
     deviation (n,) at its end."""
     steps, kind = np.unique(np.round(command.steps, STEP_DIGITS), return_inverse=True)
-    whole = step_responses(plant.system, steps)[kind]
+    transitions = step_responses(plant.system, steps)[kind]
     ends = [deviation]
     for piece in range(len(kind)):
         inputs = command.forcing[piece : piece + 1]
-        ends.append(advance(whole[piece : piece + 1], ends[-1][None], inputs)[0])
+        ends.append(advance(transitions[piece : piece + 1], ends[-1][None], inputs)[0])
     z = np.array(ends)
     spans = _Spans(np.arange(len(kind)), np.zeros(len(kind)), z[:-1], z[1:])
     kept = []
@@ -171,9 +171,9 @@ def step_responses(system: np.ndarray, steps: np.ndarray) -> np.ndarray:
     from scipy.linalg import expm  # SciPy takes 0.2 s to import, and few plates have a suspension
 
     size = len(system)
-    whole = np.kron(np.eye(DEGREE + 2, k=1), np.eye(size))
-    whole[:size, :size] = system
-    return np.asarray(expm(whole * steps[:, None, None])[:, :size])
+    exponent = np.kron(np.eye(DEGREE + 2, k=1), np.eye(size))
+    exponent[:size, :size] = system
+    return np.asarray(expm(exponent * steps[:, None, None])[:, :size])
 
 
 def advance(response: np.ndarray, state: np.ndarray, derivatives: np.ndarray) -> np.ndarray:

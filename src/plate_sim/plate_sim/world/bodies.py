@@ -75,7 +75,7 @@ class BodyTrajectory:
         cls, time: np.ndarray, states: np.ndarray, on_plate: np.ndarray
     ) -> BodyTrajectory:
         """Split an array of states (k, M, 6) into position, angle, velocity and spin."""
-        position, angle, velocity, spin = (states[..., own] for own in COLUMNS)
+        position, angle, velocity, spin = (states[..., columns] for columns in COLUMNS)
         return cls(time, position, angle, velocity, spin, on_plate)
 
     @classmethod
@@ -214,16 +214,16 @@ def simulate_bodies(
             f"footprint is a list of {len(parts)}, allowed: one Footprint, or {count} of them"
         )
     states = check_starts([(position, angle, velocity, spin)])
-    here = np.ones((1, count), bool)
+    on_plate = np.ones((1, count), bool)
     steps = every * max(1, samples)
     record = run_plates(
-        [cycle], [steps], Shapes.of(parts), states, here, limit[None], [ground.effect(gravity)],
+        [cycle], [steps], Shapes.of(parts), states, on_plate, limit[None], [ground.effect(gravity)],
         contacts, ENDLESS if half is None else half, whole("cycles", cycles),
         every if samples else 0, range(count),
     )  # fmt: skip
     if not samples:
-        return BodyTrajectory.of_states(np.array([cycle.period * cycles]), states, here[0])
-    return BodyTrajectory.recorded(record[0], cycle.period / steps * every, here[0])
+        return BodyTrajectory.of_states(np.array([cycle.period * cycles]), states, on_plate[0])
+    return BodyTrajectory.recorded(record[0], cycle.period / steps * every, on_plate[0])
 
 
 def run_plates(
@@ -309,8 +309,8 @@ def check_starts(starts: Sequence[tuple[Any, Any, Any, Any]]) -> np.ndarray:
     fields = [np.asarray(each) for each in zip(*starts, strict=True)]
     if all(field.shape[1:] == shape for field, shape in zip(fields, shapes, strict=True)):
         states = np.empty((len(starts), count, 6))
-        for own, field in zip(COLUMNS, fields, strict=True):
-            states[..., own] = field
+        for columns, field in zip(COLUMNS, fields, strict=True):
+            states[..., columns] = field
         if np.abs(states).max(initial=0.0) <= MAX_ABS:
             return states
     # At least one value is wrong. `_check_start` raises an error that names the wrong value.

@@ -181,11 +181,11 @@ class CameraView:
         false = len(like)
         drawn = np.append(np.flatnonzero(seen & ~hidden), like)
         spots = np.broadcast_to(place, (len(path), false, 2))
-        there = path[:, drawn[: len(drawn) - false]]
+        drawn_path = path[:, drawn[: len(drawn) - false]]
         turned = self._marked or self._typed
         old = self._disturbances.latency if age is None else age
         return self._camera.render(
-            np.concatenate([there, spots], axis=1),
+            np.concatenate([drawn_path, spots], axis=1),
             self._grey[drawn],
             self._pixel_rng,
             pose=pose,
@@ -282,22 +282,22 @@ class CameraView:
         middle, readout = views[count // 2], self._rig.camera.readout_s
         # Since the last cycle, parts may have been added or removed. `state` contains these
         # changes, but the history does not.
-        there = middle.on_plate if first >= time[count // 2] else state.on_plate
+        on_plate = middle.on_plate if first >= time[count // 2] else state.on_plate
         if readout == 0:
-            return path, middle.angle, there, pose
+            return path, middle.angle, on_plate, pose
         row = np.clip(row_delay(self._rig, middle.position) / readout + 0.5, 0, 1)
         begin = readout * np.append(row, (np.arange(BANDS) + 0.5) / BANDS)
-        at = begin[:, None] + exposure * np.linspace(0, 1, EXPOSURES)
+        times = begin[:, None] + exposure * np.linspace(0, 1, EXPOSURES)
         parts = len(row)
         seen = np.empty((EXPOSURES, parts, 2))
         for i in range(parts):
             for axis in range(2):
-                seen[:, i, axis] = np.interp(at[i], time, path[:, i, axis])
+                seen[:, i, axis] = np.interp(times[i], time, path[:, i, axis])
         poses = np.empty((BANDS, EXPOSURES, 3))
         for band in range(BANDS):
             for axis in range(3):
-                poses[band, :, axis] = np.interp(at[parts + band], time, pose[:, axis])
-        return seen, middle.angle, there, poses
+                poses[band, :, axis] = np.interp(times[parts + band], time, pose[:, axis])
+        return seen, middle.angle, on_plate, poses
 
 
 def check_height(rig: Rig, disturbances: Disturbances) -> None:

@@ -117,22 +117,22 @@ def _find_rest_position(
     hit = others.met(kind, place, angle)
     if not hit:
         return place if np.all(np.abs(place) <= limit) else None
-    away = place - others.position[hit[0]]
-    distance = np.hypot(*away)
-    away = away / distance if distance > 0 else np.array([1.0, 0.0])
+    direction = place - others.position[hit[0]]
+    distance = np.hypot(*direction)
+    direction = direction / distance if distance > 0 else np.array([1.0, 0.0])
     for step in range(1, 1 + ceil(2 * np.hypot(*limit) / SLIDE_STEP_M)):
-        end = place + step * SLIDE_STEP_M * away
+        end = place + step * SLIDE_STEP_M * direction
         if not np.all(np.abs(end) <= limit):
             return None
         if not others.met(kind, end, angle):
             touching, free = (step - 1) * SLIDE_STEP_M, step * SLIDE_STEP_M
             while free - touching > TOUCH_M:
                 middle = (touching + free) / 2
-                if others.met(kind, place + middle * away, angle):
+                if others.met(kind, place + middle * direction, angle):
                     touching = middle
                 else:
                     free = middle
-            return np.asarray(place + free * away)
+            return np.asarray(place + free * direction)
     return None
 
 
@@ -213,10 +213,10 @@ class Dispenser:
         if self._hopper is None:
             raise PlateError("this scenario has no hopper, required: kind feed with a hopper")
         check_duration(duration_s)
-        there = int(np.count_nonzero(state.on_plate))
-        if duration_s > 0 and there >= MAX_PARTS:
+        on_plate = int(np.count_nonzero(state.on_plate))
+        if duration_s > 0 and on_plate >= MAX_PARTS:
             raise PlateError(
-                f"hopper cannot open: {there} parts are on the plate, allowed: fewer than "
+                f"hopper cannot open: {on_plate} parts are on the plate, allowed: fewer than "
                 f"{MAX_PARTS}"
             )
         self._flow = replace(self._flow, left_s=float(duration_s))

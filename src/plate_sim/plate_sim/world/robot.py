@@ -99,11 +99,11 @@ def grip_nearest_part(
     if symmetry:
         period = 2 * np.pi / symmetry
         error = float((state.angle[row] - angle + period / 2) % period - period / 2)
-    here = np.flatnonzero(state.on_plate)
+    on_plate = np.flatnonzero(state.on_plate)
     parts = Parts.make(
-        tuple(state.ids[i] for i in here), state.position[here], angle=state.angle[here]
+        tuple(state.ids[i] for i in on_plate), state.position[on_plate], angle=state.angle[on_plate]
     )
-    gap = float(free_gap(parts, rig)[here == row][0])
+    gap = float(free_gap(parts, rig)[on_plate == row][0])
     beside = f", another is {1e3 * max(gap, 0.0):.1f} mm beside it" if gap < FINGER_M else ""
     done = "slipped" if slips else "is taken"
     return Grip(not slips, name, nearest, error, f"{name} {done}{beside}")

@@ -193,12 +193,12 @@ class Simulation:
             outside the plate or overlap another part. The state is then unchanged.
         """
         state, unit = self.state, self._field.unit
-        state, part_id, own = self._hand.put(
+        state, part_id, spin = self._hand.put(
             state, part_id, label, position, angle, self._next_number
         )
         run_cycle(state, PlateCycle.rest(TRIAL_S), self._rig)
-        if own is not None:
-            unit = np.append(unit, own)
+        if spin is not None:
+            unit = np.append(unit, spin)
             self._last_number[part_class(part_id)] = _id_number(part_id)
         self._robot.taken -= {part_id}
         self._replace_state(state, unit, History())
@@ -234,8 +234,10 @@ class Simulation:
 
     def _next_number(self, label: str) -> int:
         """Return the number for the id of the next part of a class. No number is used twice."""
-        there = max((_id_number(i) for i in self.state.ids if part_class(i) == label), default=0)
-        return 1 + max(there, self._last_number.get(label, 0))
+        max_present = max(
+            (_id_number(i) for i in self.state.ids if part_class(i) == label), default=0
+        )
+        return 1 + max(max_present, self._last_number.get(label, 0))
 
     def open_hopper(self, duration_s: float) -> int:
         """Open the hopper for the time `duration_s` from now [s]. If the hopper is still open, the
@@ -310,13 +312,15 @@ class Simulation:
         state, history = self.state, self._view.history
         if np.all(state.on_plate) or not (self._feeds or self._robot.taken):
             return
-        away = ~state.on_plate & ~history.shows(len(state.ids))
+        invisible = ~state.on_plate & ~history.shows(len(state.ids))
         if not self._feeds:
-            away &= self._robot.has(state.ids)
-        if not np.any(away):
+            invisible &= self._robot.has(state.ids)
+        if not np.any(invisible):
             return
-        self._departures.forget(state, self._has_left_plate & away)
-        self._replace_state(state.take(~away), self._field.unit[~away], history.take(~away))
+        self._departures.forget(state, self._has_left_plate & invisible)
+        self._replace_state(
+            state.take(~invisible), self._field.unit[~invisible], history.take(~invisible)
+        )
         self._robot.taken &= set(self.state.ids)
 
     def _drop_part(self) -> None:
@@ -363,11 +367,11 @@ class Simulation:
             self._simulate_cycle(cycle)
             return
         begin, end = 0.0, cycle.period
-        for at in self._hopper.after(end):
-            if at - begin > MIN_S:
-                at = at if end - at > MIN_S else end
-                self._simulate_cycle(PlateMotion.piece(cycle, begin, at))
-                begin = at
+        for drop_time in self._hopper.after(end):
+            if drop_time - begin > MIN_S:
+                drop_time = drop_time if end - drop_time > MIN_S else end
+                self._simulate_cycle(PlateMotion.piece(cycle, begin, drop_time))
+                begin = drop_time
             self._drop_part()
         if begin == 0:
             self._simulate_cycle(cycle)
@@ -395,12 +399,17 @@ class Simulation:
         """Simulate one cycle of each of several simulations with the same rig, in parallel threads.
         The results are identical to those of `run`."""
         plain: dict[tuple[str, ...], list[tuple[Simulation, PlateCycle]]] = {}
-        for own, cycle in zip(simulations, cycles, strict=True):
-            if own._view.past or own._feeds or own._robot.taken or own._rig.suspension is not None:
-                own.run(cycle)
+        for simulation, cycle in zip(simulations, cycles, strict=True):
+            if (
+                simulation._view.past
+                or simulation._feeds
+                or simulation._robot.taken
+                or simulation._rig.suspension is not None
+            ):
+                simulation.run(cycle)
             else:
-                plain.setdefault(own.state.ids, []).append((own, cycle))
-                own._time += cycle.period
+                plain.setdefault(simulation.state.ids, []).append((simulation, cycle))
+                simulation._time += cycle.period
         for alike in plain.values():
             worlds, motions = zip(*alike, strict=True)
             Simulation._simulate_together(
@@ -417,10 +426,10 @@ class Simulation:
     ) -> list[BodyTrajectory]:
         """Simulate the parts of several simulations that have the same rig and the same ids of
         parts, see `step.run_together`."""
-        own = worlds[0]
+        first = worlds[0]
         states, paths = run_together(
-            [world.state for world in worlds], motions, own._shapes, limits, own._rig,
-            own._contacts, [world.disturbances.ground for world in worlds], threads, every=every,
+            [world.state for world in worlds], motions, first._shapes, limits, first._rig,
+            first._contacts, [world.disturbances.ground for world in worlds], threads, every=every,
         )  # fmt: skip
         for world, state in zip(worlds, states, strict=True):
             world.state = state

@@ -125,24 +125,27 @@ def run_together(
     """
     ids, gravity = states[0].ids, rig.friction.gravity
     moved = check_starts([(s.position, s.angle, s.velocity, s.spin) for s in states])
-    here = np.array([s.on_plate for s in states], bool)
-    if here.shape != moved.shape[:2]:
-        raise PlateError(f"on_plate has shape {here.shape[1:]}, allowed: ({len(ids)},)")
+    on_plates = np.array([s.on_plate for s in states], bool)
+    if on_plates.shape != moved.shape[:2]:
+        raise PlateError(f"on_plate has shape {on_plates.shape[1:]}, allowed: ({len(ids)},)")
     steps = [equal_steps(motion.period, step) for motion in motions]
     # Usually all plates refer to the same ground object. The effect of each object is computed
     # once. Comparing object identities is faster than comparing values.
     effect = {key: g.effect(gravity) for key, g in {id(g): g for g in grounds}.items()}
     records = run_plates(
-        motions, steps, shapes, moved, here, np.array(limits), [effect[id(g)] for g in grounds],
-        contacts, rig.plate.half, cycles, every, ids, threads,
+        motions, steps, shapes, moved, on_plates, np.array(limits),
+        [effect[id(g)] for g in grounds], contacts, rig.plate.half, cycles, every, ids, threads,
     )  # fmt: skip
-    position, angle, velocity, spin = (np.ascontiguousarray(moved[..., own]) for own in COLUMNS)
+    position, angle, velocity, spin = (
+        np.ascontiguousarray(moved[..., columns]) for columns in COLUMNS
+    )
     after = [
-        WorldState(ids, *each) for each in zip(position, velocity, here, angle, spin, strict=True)
+        WorldState(ids, *each)
+        for each in zip(position, velocity, on_plates, angle, spin, strict=True)
     ]
     if not every:
         return after, []
     return after, [
-        BodyTrajectory.recorded(record, motion.period / n * every, there)
-        for record, motion, n, there in zip(records, motions, steps, here, strict=True)
+        BodyTrajectory.recorded(record, motion.period / n * every, on_plate)
+        for record, motion, n, on_plate in zip(records, motions, steps, on_plates, strict=True)
     ]

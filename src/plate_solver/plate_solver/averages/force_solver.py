@@ -120,8 +120,8 @@ class ForceSolver(MotionSolver):
     def _map(self, refine: str) -> tuple[float, float, Callable[[Request], Solution]]:
         """Return three properties of the force map `refine`. The properties are the tolerance [mu m
         g], the maximum force [mu m g], and the function that solves a request on this map."""
-        own, friction = self.options.tolerance, self._rig.friction.accel
-        wide = max(own, REFINED_TOLERANCE)
+        tolerance, friction = self.options.tolerance, self._rig.friction.accel
+        wide = max(tolerance, REFINED_TOLERANCE)
 
         def at_mean_velocity(request: Request) -> Solution:
             return on_mean_velocity(request, self._on_average, friction, wide)
@@ -131,7 +131,7 @@ class ForceSolver(MotionSolver):
             return on_cycle(request, self.steer, period, friction, wide)
 
         if refine == "none":
-            return own, 1.0, self._on_average
+            return tolerance, 1.0, self._on_average
         return (
             (wide, 1.0, at_mean_velocity)
             if refine == "velocity"

@@ -99,16 +99,16 @@ def largest_fraction(
         returned.
     """
     fits = min(1.0, limit / max(request.flags.loaded, 1e-300))
-    whole = attempt(request if fits == 1 else request.times(fits))
-    if whole.success and fits == 1:
-        return whole
-    low, best, high = (fits if whole.success else 0.0), whole, fits
-    iterations = whole.iterations
+    solution = attempt(request if fits == 1 else request.times(fits))
+    if solution.success and fits == 1:
+        return solution
+    low, best, high = (fits if solution.success else 0.0), solution, fits
+    iterations = solution.iterations
     if not request.flags.moving and not request.flags.slack:
         bound = reachable_fraction(library, request.position, request.force)
         high = min(high, MAX_TRIED * limit * bound)
     peak = float(np.max(np.abs(request.force)))
-    trial = fits * CAUTION * _along(fits * request.force, whole.residual)
+    trial = fits * CAUTION * _along(fits * request.force, solution.residual)
     for _ in range(BISECTIONS):
         if (high - low) * peak < resolution:
             break
@@ -120,7 +120,7 @@ def largest_fraction(
             low, best = fraction, found
         else:
             high = fraction
-    why = whole.message
+    why = solution.message
     proven = fits < 1 or (prove is not None and prove(request))
     if proven:
         why = f"proven impossible for such motions; {why}"
@@ -129,12 +129,12 @@ def largest_fraction(
             f"the requested force on a part is {request.flags.loaded:.3g} mu m g, "
             f"allowed: {limit:g}"
         )
-    rest_of_whole = whole.residual + (1 - fits) * request.force
+    rest_of_whole = solution.residual + (1 - fits) * request.force
     if low > 0:
         residual = best.residual + (1 - low) * request.force
         message = f"a fraction of {low:.3g} of the request is met; the whole request fails: {why}"
         if prove is None and _size(rest_of_whole) < _size(residual):
-            best, residual = whole, rest_of_whole
+            best, residual = solution, rest_of_whole
             message = (
                 f"a fraction of {low:.3g} of the request can be met, but this solution is nearer "
                 f"to the whole request; {why}"
@@ -151,7 +151,7 @@ def largest_fraction(
         message=message,
         residual=residual,
         iterations=iterations,
-        condition=whole.condition,
+        condition=solution.condition,
         status=(Status.UNREACHABLE if proven else Status.PARTIAL if low > 0 else Status.FAILED),
         fraction=low,
     )

@@ -281,11 +281,12 @@ class Goal:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the derivatives of `end` with respect to pose (2, n, C), twist (3, n, C) and dt
         (n, C)."""
-        state, moved = (self.position, self.velocity), (pose, twist, dt, self.friction_accel)
+        moved = pose, twist, dt, self.friction_accel, self.coast
         if self.rotations is None:
-            return end_state_gradient(*state, *moved, self.coast)
-        state = *state, self.rotations.spin, self.rotations.spread
-        return end_turning_gradient(*state, *moved, self.coast)
+            return end_state_gradient(self.position, self.velocity, *moved)
+        return end_turning_gradient(
+            self.position, self.velocity, self.rotations.spin, self.rotations.spread, *moved
+        )
 
     def error(self, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the errors (R,) [m] of the parts' coordinates `end` (C,) after a cycle, and the

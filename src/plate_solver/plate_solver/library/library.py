@@ -87,8 +87,8 @@ class Library:
     def curls(self, position: np.ndarray) -> np.ndarray:
         """Return the curls of the rotations and translations at parts (M, C + D) [1/m], equation
         (12)."""
-        none = np.zeros((len(position), len(self.direction)))
-        return np.hstack([curl_matrix(position, self.centre), none])
+        zero = np.zeros((len(position), len(self.direction)))
+        return np.hstack([curl_matrix(position, self.centre), zero])
 
     def clearance(self, position: np.ndarray) -> np.ndarray:
         """Return the distance of each centre of rotation from the nearest part (C + D,) [m].

@@ -150,7 +150,7 @@ class SinusoidBasis:
         if plate is not None:
             more = [matrix @ plate for matrix in self.settling_knots]
             spline = spline + quintic_pieces(self.times, *more)
-            states = [state + own for state, own in zip(states, more, strict=True)]
+            states = [state + settling for state, settling in zip(states, more, strict=True)]
             for state, first in zip(states, plate, strict=True):
                 state[0] = first  # remove the rounding error of the initial state
         for state in states:
@@ -170,7 +170,10 @@ class SinusoidBasis:
             state[:, -1] = state[:, 0]
         splines = (self.spline @ coefficients).reshape(len(coefficients), -1, 6, 3)
         each = zip(*states, splines, strict=True)
-        return [PlateCycle(self.times, pose, twist, accel, own) for pose, twist, accel, own in each]
+        return [
+            PlateCycle(self.times, pose, twist, accel, spline)
+            for pose, twist, accel, spline in each
+        ]
 
 
 def settling(t: np.ndarray) -> Matrices:
@@ -222,8 +225,10 @@ def sinusoid_basis(
             sign, back = np.where(before, [1.0, -1.0, 1.0], 1.0), np.where(before, -1.0, 1.0)
             settled = settling(np.abs(period - t))
             matrices = [
-                np.hstack([matrix, END_UNITS * sign * factor * own])
-                for matrix, own, factor in zip(matrices, settled, (1.0, back, 1.0), strict=True)
+                np.hstack([matrix, END_UNITS * sign * factor * settled_row])
+                for matrix, settled_row, factor in zip(
+                    matrices, settled, (1.0, back, 1.0), strict=True
+                )
             ]
         pose, twist, accel = (np.ascontiguousarray(matrix) for matrix in matrices)
         return pose, twist, accel
@@ -239,22 +244,22 @@ def sinusoid_basis(
     # The spline of a motion is a linear function of the coefficients. Therefore `spline` contains
     # one spline per coefficient.
     spline = quintic_pieces(times, *ends).reshape(-1, ends[0].shape[1])
-    one = SinusoidBasis(
+    basis_of_play = SinusoidBasis(
         period, steps, twist, pose, accel, span, times, ends, spline, free_end, basis(checks),
         settling(t), settling(times), settling(checks),
     )  # fmt: skip
-    return one if plays == 1 else repeated(one, plays)
+    return basis_of_play if plays == 1 else repeated(basis_of_play, plays)
 
 
-def repeated(one: SinusoidBasis, plays: int) -> SinusoidBasis:
-    """Return the basis of `plays` consecutive plays of the motions of `one`."""
-    end, more = np.stack([knots[-1] for knots in one.knots]), plays - 1
-    inner = len(one.checks[0]) - TAIL_CHECKS * one.free_end
+def repeated(basis: SinusoidBasis, plays: int) -> SinusoidBasis:
+    """Return the basis of `plays` consecutive plays of the motions of `basis`."""
+    end, more = np.stack([knots[-1] for knots in basis.knots]), plays - 1
+    inner = len(basis.checks[0]) - TAIL_CHECKS * basis.free_end
 
-    def again(own: Matrices, settled: Matrices, inner: int) -> Matrices:
+    def again(matrices: Matrices, settled: Matrices, inner: int) -> Matrices:
         first, second, third = (
             np.vstack([a[:inner], np.tile((a + b @ end)[:inner], (more, 1)), a[inner:]])
-            for a, b in zip(own, settled, strict=True)
+            for a, b in zip(matrices, settled, strict=True)
         )
         return first, second, third
 
@@ -264,11 +269,12 @@ def repeated(one: SinusoidBasis, plays: int) -> SinusoidBasis:
         )
         return first, second, third
 
-    pose, twist, accel = again((one.pose, one.twist, one.accel), one.settling, one.steps)
+    pose, twist, accel = again((basis.pose, basis.twist, basis.accel), basis.settling, basis.steps)
     return replace(
-        one, period=plays * one.period, steps=plays * one.steps, pose=pose, twist=twist,
-        accel=accel, checks=again(one.checks, one.settling_checks, inner),
-        settling=once(one.settling, one.steps), settling_checks=once(one.settling_checks, inner),
+        basis, period=plays * basis.period, steps=plays * basis.steps, pose=pose, twist=twist,
+        accel=accel, checks=again(basis.checks, basis.settling_checks, inner),
+        settling=once(basis.settling, basis.steps),
+        settling_checks=once(basis.settling_checks, inner),
     )  # fmt: skip
 
 
@@ -301,8 +307,8 @@ class SinusoidFamily:
     def samples(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return pose and twist (n, 3) at the middles of the steps, and the step lengths (n,)
         [s]."""
-        own, basis = self.coefficients(parameters), self.basis
-        pose, twist = basis.pose @ own, basis.twist @ own
+        coefficients, basis = self.coefficients(parameters), self.basis
+        pose, twist = basis.pose @ coefficients, basis.twist @ coefficients
         if self.plate is not None:
             pose = pose + basis.settling[0] @ self.plate
             twist = twist + basis.settling[1] @ self.plate
@@ -320,8 +326,12 @@ class SinusoidFamily:
     def use(self, parameters: np.ndarray) -> float:
         """Return the largest utilisation of any rig limit by the samples (1: at the limit). The
         motion from the initial state `plate` to rest is not included."""
-        own, basis = self.coefficients(parameters), self.basis
-        pose, twist, accel = basis.pose @ own, basis.twist @ own, basis.accel @ own
+        coefficients, basis = self.coefficients(parameters), self.basis
+        pose, twist, accel = (
+            basis.pose @ coefficients,
+            basis.twist @ coefficients,
+            basis.accel @ coefficients,
+        )
         return limit_use(pose, twist, accel, EQUAL_WEIGHT, self._limits, True)
 
     def admissible(self, parameters: np.ndarray) -> np.ndarray:

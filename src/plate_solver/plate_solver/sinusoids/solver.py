@@ -221,8 +221,8 @@ class SinusoidCycles(MotionSolver):
         number, period = self._steering_key(goal.requested_count, goal.multi_cycle, goal.free_end)
         grid, plays = ROUGH if goal.multi_cycle else EXACT, PLAYS if goal.free_end else 1
         family, fine = (
-            family_on_grid(number, period, self._limits, one, goal.free_end, goal.plate, plays)
-            for one in (grid, FINE)
+            family_on_grid(number, period, self._limits, on_grid, goal.free_end, goal.plate, plays)
+            for on_grid in (grid, FINE)
         )
         key = number, period, grid, goal.free_end
         if key not in self._motions:
@@ -236,9 +236,9 @@ class SinusoidCycles(MotionSolver):
         def start(index: int, near: Fit) -> np.ndarray:
             if index < fresh:
                 return family.random(self._rng)
-            own = near.parameters
-            size = SPREAD * math.sqrt(own @ own / len(own))
-            return own + size * self._rng.normal(size=len(own))
+            parameters = near.parameters
+            size = SPREAD * math.sqrt(parameters @ parameters / len(parameters))
+            return parameters + size * self._rng.normal(size=len(parameters))
 
         def improved(start: np.ndarray) -> Fit:
             return descend(problem, start, tolerance, self.options.iterations)
@@ -309,9 +309,11 @@ def corrected(
 
     final, iterations = improved(goal, parameters), 0
     for _ in range(FINAL_CORRECTIONS):
-        own = final.parameters
-        off = goal.end(*fine.samples(own)) - goal.end(*family.samples(own))
-        final = improved(goal.shifted(-off), own)
+        parameters_before = final.parameters
+        off = goal.end(*fine.samples(parameters_before)) - goal.end(
+            *family.samples(parameters_before)
+        )
+        final = improved(goal.shifted(-off), parameters_before)
         iterations += final.iterations
     return final, iterations
 

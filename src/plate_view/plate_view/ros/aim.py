@@ -29,14 +29,15 @@ def aim_scene(msg: Aim) -> Scene:
         "expected": _point_lists(msg.expected), "seen": _point_lists(msg.seen),
         "things": [
             {
-                "id": one.id, "x": finite_or_none(one.x_px), "y": finite_or_none(one.y_px),
-                "radius": finite_or_none(one.radius_px), "reason": one.reason, "remedy": one.remedy,
+                "id": item.id, "x": finite_or_none(item.x_px), "y": finite_or_none(item.y_px),
+                "radius": finite_or_none(item.radius_px), "reason": item.reason,
+                "remedy": item.remedy,
             }
-            for one in msg.things
+            for item in msg.things
         ],
         "checks": [
-            {"name": one.name, "level": LEVELS.get(one.level, "error"), "text": one.text}
-            for one in msg.checks
+            {"name": item.name, "level": LEVELS.get(item.level, "error"), "text": item.text}
+            for item in msg.checks
         ],
         "home": msg.home, "home_found": msg.home_found,
         "lens": {

@@ -177,10 +177,10 @@ class Listener:
                 "mu": finite_or_none(msg.mu),
                 "parts": [
                     {
-                        "id": one.id, "mu": finite_or_none(one.mu),
-                        "error": finite_or_none(one.mu_error),
+                        "id": part.id, "mu": finite_or_none(part.mu),
+                        "error": finite_or_none(part.mu_error),
                     }
-                    for one in msg.parts
+                    for part in msg.parts
                 ],
             }
         )  # fmt: skip
@@ -271,8 +271,8 @@ class Listener:
         self._publish(
             nodes_scene(
                 {
-                    name: (now - at, report.level.name, report.message, report.values)
-                    for name, (at, report) in self._reports.items()
+                    name: (now - arrival, report.level.name, report.message, report.values)
+                    for name, (arrival, report) in self._reports.items()
                 }
             )
         )

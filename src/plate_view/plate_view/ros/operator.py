@@ -233,11 +233,11 @@ class Operator:
     def _find_node(self, name: str) -> str:
         """Return the name of an existing node. The page creates no service clients for other
         names."""
-        here = self._node.get_namespace()
+        own_namespace = self._node.get_namespace()
         nodes = self._node.get_node_names_and_namespaces()
-        there = sorted({each for each, space in nodes if space == here})
-        if name not in there:
-            raise PlateError(f"node is {name!r}, allowed: {', '.join(there)}")
+        node_names = sorted({each for each, space in nodes if space == own_namespace})
+        if name not in node_names:
+            raise PlateError(f"node is {name!r}, allowed: {', '.join(node_names)}")
         return name
 
     def _send_parameters(self, pending: PendingCommand) -> None:
@@ -312,7 +312,7 @@ class Operator:
         reason."""
         client, end = self._actions[name], time.monotonic() + DISCOVERY_TIMEOUT_S
         before: Goal | None = None
-        own = Goal(goal_to_scenario(goal).task)
+        new_goal = Goal(goal_to_scenario(goal).task)
         replied: list[bool] = []
         sent: list[Any] = []
 
@@ -322,10 +322,10 @@ class Operator:
                 pending.answer(ok, text)
 
         def refuse_goal(text: str) -> None:
-            own.ended = True
+            new_goal.ended = True
             # The new goal did not replace the previous task. Therefore show the previous task
             # again, unless it has ended.
-            if self._goal is own:
+            if self._goal is new_goal:
                 self._goal = None if before is None or before.ended else before
             reply(False, text)
 
@@ -336,10 +336,10 @@ class Operator:
             handle = future.result()
             if not handle.accepted:
                 refuse_goal("the planner refused the goal")
-            elif own.ended:  # the goal was accepted after the time limit, so cancel it
+            elif new_goal.ended:  # the goal was accepted after the time limit, so cancel it
                 handle.cancel_goal_async()
             else:
-                own.handle = handle
+                new_goal.handle = handle
                 handle.get_result_async().add_done_callback(on_result)
 
         def on_result(future: Any) -> None:
@@ -348,8 +348,8 @@ class Operator:
                 refuse_goal(status.text)
                 return
             reply(status.state == TaskStatus.DONE, status.text)
-            own.ended = True
-            if self._goal is own:
+            new_goal.ended = True
+            if self._goal is new_goal:
                 self._goal = self._waiting = None
             waiting, self._next = self._next, None
             if waiting is not None:
@@ -360,7 +360,7 @@ class Operator:
             if not sent and client.server_is_ready():
                 # Set `_goal` before the goal is sent, because task_status reports the task before
                 # the planner accepts the goal.
-                before, self._goal = self._goal, own
+                before, self._goal = self._goal, new_goal
                 sent.append(client.send_goal_async(goal, feedback_callback=on_feedback))
                 sent[0].add_done_callback(on_answer)
                 end = time.monotonic() + ANSWER_S
@@ -473,11 +473,15 @@ class Operator:
             If the rig cannot execute the goal. A running task then continues.
         """
         check_scenario(goal_to_scenario(goal), self._rig)
-        own = self._goal
-        if own is not None and own.handle is not None and self._listener.task.task == "move":
+        running = self._goal
+        if (
+            running is not None
+            and running.handle is not None
+            and self._listener.task.task == "move"
+        ):
             self._drop_next_goal("another task was requested")
             self._next = pending, name, goal
-            own.handle.cancel_goal_async()
+            running.handle.cancel_goal_async()
         else:
             self._send_goal(pending, name, goal)
 

@@ -180,8 +180,8 @@ class Replay:
         self._coming, self._next, self.problem = iter(()), None, ""
         stop = round(1e9 * t)
         newest: dict[str, tuple[Any, bytes]] = {}
-        for connection, at, data in self._latched:
-            if at <= stop:
+        for connection, stamp, data in self._latched:
+            if stamp <= stop:
                 newest[self._topic_key(connection)] = connection, data
         for connection, _, data in self._messages_between(t - BEFORE_S, t):
             newest[self._topic_key(connection)] = connection, data

@@ -222,11 +222,11 @@ def find_board(grey: np.ndarray, board: Board, fast: bool = False) -> tuple[Boar
         return board, (np.arange(len(board.corners)), _refine_corners(grey, corners, board))
     found = find_markers(grey, board.dictionary)
     board = _match_square_colour(found, board)
-    which, corners = _predict_corners(found, board)
+    corner_ids, corners = _predict_corners(found, board)
     inside = np.all((corners > 3) & (corners < np.array(grey.shape[::-1]) - 4), axis=1)
     if np.count_nonzero(inside) < MIN_CORNERS:
         return board, None
-    return board, (which[inside], _refine_corners(grey, corners[inside], board))
+    return board, (corner_ids[inside], _refine_corners(grey, corners[inside], board))
 
 
 def _match_square_colour(found: Mapping[int, np.ndarray], board: Board) -> Board:
@@ -235,8 +235,8 @@ def _match_square_colour(found: Mapping[int, np.ndarray], board: Board) -> Board
     if len(found) < MIN_MARKERS:
         return board
     other = replace(board, white_first=not board.white_first)
-    here, there = _marker_misfit(found, board), _marker_misfit(found, other)
-    best, misfit = (other, there) if there < 0.5 * here else (board, here)
+    own_misfit, other_misfit = _marker_misfit(found, board), _marker_misfit(found, other)
+    best, misfit = (other, other_misfit) if other_misfit < 0.5 * own_misfit else (board, own_misfit)
     if misfit > WORST_MISFIT:
         turned = replace(board, columns=board.rows, rows=board.columns)
         swapped = min(
@@ -273,7 +273,7 @@ def _predict_corners(found: Mapping[int, np.ndarray], board: Board) -> Corners:
     [px] of each marker by its number."""
     known = board.markers
     numbers = [number for number in found if number < len(known)]
-    which, corners_px = [], []
+    corner_ids, corners_px = [], []
     middle = known[numbers].mean(axis=1)
     for k, corner in enumerate(board.corners if len(numbers) > 1 else ()):
         near = np.argsort(np.linalg.norm(middle - corner, axis=1))[:NEAR]
@@ -284,9 +284,9 @@ def _predict_corners(found: Mapping[int, np.ndarray], board: Board) -> Corners:
         place = known[[numbers[i] for i in near]].reshape(-1, 2)
         matrix, _ = cv2.findHomography(place, np.concatenate([found[numbers[i]] for i in near]))
         if matrix is not None:
-            which.append(k)
+            corner_ids.append(k)
             corners_px.append(project(matrix, corner)[0])
-    return np.array(which, int), np.reshape(corners_px, (-1, 2))
+    return np.array(corner_ids, int), np.reshape(corners_px, (-1, 2))
 
 
 def _refine_corners(grey: np.ndarray, corner_px: np.ndarray, board: Board) -> np.ndarray:
@@ -317,8 +317,8 @@ def choose_pictures(
         return list(range(len(seen)))
     outer = np.array([[0, 0], [1, 0], [1, 1], [0, 1.0]]) * [board.columns, board.rows]
     places = []
-    for which, corners_px in seen:
-        matrix, _ = cv2.findHomography(board.corners[which], np.asarray(corners_px))
+    for corner_ids, corners_px in seen:
+        matrix, _ = cv2.findHomography(board.corners[corner_ids], np.asarray(corners_px))
         places.append(
             np.full(8, np.nan)
             if matrix is None
@@ -402,7 +402,7 @@ def fit_lens(
             "from different sides (check the numbers of squares)"
         )
     corners = np.column_stack([board.corners, np.zeros(len(board.corners))])
-    points = [corners[which] for which, _ in seen]
+    points = [corners[corner_ids] for corner_ids, _ in seen]
     places = [np.asarray(place, dtype=float) for _, place in seen]
     fit = _fit_equidistant if model == "equidistant" else _fit_brown_model
     matrix, bend, errors, deviation = fit(points, places, size_px, model)
@@ -578,11 +578,11 @@ def _equidistant_errors(
     slopes = np.zeros((2 * sum(map(len, points)), len(values)))
     row = 0
     for k, (point, place) in enumerate(zip(points, places, strict=True)):
-        own = slice(8 + 6 * k, 14 + 6 * k)
-        rotation, move = values[own].reshape(2, 3)
+        columns = slice(8 + 6 * k, 14 + 6 * k)
+        rotation, move = values[columns].reshape(2, 3)
         seen, slope = cv2.fisheye.projectPoints(point[:, None], rotation, move, matrix, values[4:8])
         residuals.append(seen.reshape(-1, 2) - place)
         rows = slice(row, row := row + 2 * len(point))
         slopes[rows, :8] = slope[:, :8]
-        slopes[rows, own] = slope[:, 8:14]
+        slopes[rows, columns] = slope[:, 8:14]
     return np.concatenate(residuals).ravel(), slopes

@@ -177,11 +177,11 @@ def _find_boards(pictures: Pictures, board: Board) -> tuple[Board, list[Corners]
     size_px = (0, 0)
     unlike: CalibrationError | None = None
     for name, picture in pictures:
-        here = (picture.shape[1], picture.shape[0])
-        if size_px not in ((0, 0), here):
+        found_px = (picture.shape[1], picture.shape[0])
+        if size_px not in ((0, 0), found_px):
             why = " as in the previous picture"
-            check_size(f"{name}: size is", here, size_px, CalibrationError, why)
-        size_px = here
+            check_size(f"{name}: size is", found_px, size_px, CalibrationError, why)
+        size_px = found_px
         corners = None
         try:
             grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
@@ -237,8 +237,8 @@ class Progress:
 def _fit_summary(fit: LensFit) -> str:
     matrix, deviation, lens = fit.lens.matrix, fit.deviation, fit.lens
     values = [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *lens.distortion]
-    own = FISHEYE if lens.model == "equidistant" else BROWN
-    names = ["fx", "fy", "cx", "cy", *own[: len(lens.distortion)]]
+    coefficient_names = FISHEYE if lens.model == "equidistant" else BROWN
+    names = ["fx", "fy", "cx", "cy", *coefficient_names[: len(lens.distortion)]]
     lines = [f"{n} = {v:.5g} +- {s:.2g}" for n, v, s in zip(names, values, deviation, strict=True)]
     lines.append(f"error of the corners {fit.error_px:.3f} px rms in {len(fit.errors)} pictures")
     if fit.warning:

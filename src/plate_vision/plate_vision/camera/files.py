@@ -167,7 +167,9 @@ def _is_unsupported_media(path: Path) -> bool:
 def _name_with_numbers(path: Path) -> tuple[list[tuple[str, int]], str]:
     """Return a key that sorts files by name, but numbers in their names by value."""
     pieces = re.findall(r"[0-9]+|[^0-9]", path.name)
-    return [("0", int(one)) if one[0].isdecimal() else (one, 0) for one in pieces], path.name
+    return [
+        ("0", int(piece)) if piece[0].isdecimal() else (piece, 0) for piece in pieces
+    ], path.name
 
 
 class Pictures:

@@ -90,16 +90,16 @@ class LensPictures:
         """
         if corners is None:
             return replace(self, last=None), "the board is not detected"
-        which, place_px = corners
+        corner_ids, place_px = corners
         outer = np.array([[0, 0], [1, 0], [1, 1], [0, 1.0]]) * [board.columns, board.rows]
-        matrix, _ = cv2.findHomography(board.corners[which], np.asarray(place_px))
+        matrix, _ = cv2.findHomography(board.corners[corner_ids], np.asarray(place_px))
         if matrix is None:
             return replace(self, last=None), "too little of the board is detected"
         place = (project(matrix, board.square_m * outer) / self.size_px[0]).ravel()
         now = replace(self, board=board, last=place)
         if self.last is None or _corner_distance(place, self.last) > STILL:
             return now, "hold the board still"
-        if any(_corner_distance(place, one) < DIFFERS for one in self.places):
+        if any(_corner_distance(place, earlier) < DIFFERS for earlier in self.places):
             return now, "similar to an earlier picture: hold the board differently"
         if len(self.kept) >= MAX_PICTURES:
             return now, f"{MAX_PICTURES} pictures are enough"
@@ -146,11 +146,11 @@ def _corner_distance(place: np.ndarray, other: np.ndarray) -> float:
 def _tilted_side(board: Board, corners: Corners, size_px: tuple[int, int]) -> str:
     """Return the side of the board that is nearest to the camera, one of `TILTS`. Return "" if the
     board is not tilted."""
-    which, place_px = corners
+    corner_ids, place_px = corners
     focal = GUESSED_FOCAL * max(size_px)
     middle = (np.array(size_px) - 1) / 2
     matrix = np.array([[focal, 0, middle[0]], [0, focal, middle[1]], [0, 0, 1]])
-    points = np.column_stack([board.corners[which], np.zeros(len(which))])
+    points = np.column_stack([board.corners[corner_ids], np.zeros(len(corner_ids))])
     found, rotation, _ = cv2.solvePnP(points, np.asarray(place_px, float), matrix, None)
     if not found:
         return ""

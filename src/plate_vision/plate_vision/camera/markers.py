@@ -160,14 +160,14 @@ def _refine_corners(grey: np.ndarray, corners: np.ndarray) -> np.ndarray:
     outward = np.stack([y, -x], axis=2)
     middle = corners.mean(axis=1, keepdims=True)
     outward *= np.sign(np.sum(outward * (corners - middle), axis=2))[..., None]
-    at = np.linspace(*SPAN, SAMPLES)
+    distance = np.linspace(*SPAN, SAMPLES)
     across = np.arange(-REACH_PX, REACH_PX + STEP_PX / 2, STEP_PX)
-    foot = corners[:, :, None] + at[:, None] * along[:, :, None]
+    foot = corners[:, :, None] + distance[:, None] * along[:, :, None]
     place = foot[..., None, :] + across[:, None] * outward[:, :, None, None]
     crossing = _find_crossings(_sample_grey_levels(grey, place), across)
     # `line` contains two values for each edge: its offset at the first corner, and the change of
     # this offset up to the last corner.
-    line = _fit_edge_lines(at, crossing)
+    line = _fit_edge_lines(distance, crossing)
     first = corners + line[..., :1] * outward
     last = corners + along + line.sum(axis=2, keepdims=True) * outward
     return _intersect_lines(np.roll(first, 1, axis=1), np.roll(last, 1, axis=1), first, last)
@@ -208,22 +208,24 @@ def _find_crossings(value: np.ndarray, across: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(found), found, np.nan)
 
 
-def _fit_edge_lines(at: np.ndarray, crossing: np.ndarray) -> np.ndarray:
-    """Fit a line a + b t to the crossings (n, 4, s) of each edge at t = `at`, without outliers.
-    Return the coefficients a, b (n, 4, 2). The coefficients are NaN if there are too few
+def _fit_edge_lines(distance: np.ndarray, crossing: np.ndarray) -> np.ndarray:
+    """Fit a line a + b t to the crossings (n, 4, s) of each edge at t = `distance`, without
+    outliers. Return the coefficients a, b (n, 4, 2). The coefficients are NaN if there are too few
     crossings."""
     middle = np.nanmedian(np.where(np.isnan(crossing).all(axis=2, keepdims=True), 0, crossing), 2)
     weight = np.isfinite(crossing) & (np.abs(crossing - middle[..., None]) < 4 * OUTLIER_PX)
-    line = _fit_weighted_lines(at, crossing, weight)
-    weight &= np.abs(crossing - line[..., :1] - line[..., 1:] * at) < OUTLIER_PX
-    line = _fit_weighted_lines(at, crossing, weight)
+    line = _fit_weighted_lines(distance, crossing, weight)
+    weight &= np.abs(crossing - line[..., :1] - line[..., 1:] * distance) < OUTLIER_PX
+    line = _fit_weighted_lines(distance, crossing, weight)
     return np.where(weight.sum(axis=2, keepdims=True) >= MIN_CROSSINGS, line, np.nan)
 
 
-def _fit_weighted_lines(at: np.ndarray, crossing: np.ndarray, weight: np.ndarray) -> np.ndarray:
+def _fit_weighted_lines(
+    distance: np.ndarray, crossing: np.ndarray, weight: np.ndarray
+) -> np.ndarray:
     count = np.maximum(weight.sum(axis=2), 1)
     value = np.where(weight, crossing, 0)
-    x = np.where(weight, at, 0)
+    x = np.where(weight, distance, 0)
     mean_x, mean = x.sum(axis=2) / count, value.sum(axis=2) / count
     variance = np.maximum((x * x).sum(axis=2) - count * mean_x**2, 1e-9)
     growth = ((x * value).sum(axis=2) - count * mean_x * mean) / variance
@@ -238,5 +240,5 @@ def _intersect_lines(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray)
     with np.errstate(all="ignore"):
         t = (w[..., 0] * v[..., 1] - w[..., 1] * v[..., 0]) / cross
         point = a + t[..., None] * u
-    whole = np.all(np.isfinite(point), axis=(1, 2), keepdims=True)
-    return np.where(whole, point, np.nan)
+    is_finite = np.all(np.isfinite(point), axis=(1, 2), keepdims=True)
+    return np.where(is_finite, point, np.nan)

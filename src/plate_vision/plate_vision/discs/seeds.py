@@ -99,10 +99,10 @@ def seeds_of(
     lean = parts["lean_px"]
     leans = np.any(lean)
     inner = parts["radius_px"] - EROSION * radius_px
-    whole = np.pi * inner**2
+    expected_area = np.pi * inner**2
     if leans:
-        whole += 2 * inner * np.hypot(*lean.T)
-    size = blobs[:, 2] / (whole / stride**2)
+        expected_area += 2 * inner * np.hypot(*lean.T)
+    size = blobs[:, 2] / (expected_area / stride**2)
     large = size > MAX_CORE
     single = (size >= MIN_CORE) & ~large
     # In an oblique view, the centre of a part's blob is half-way between the centres of its base

@@ -51,10 +51,10 @@ class FilmSource:
     def open(self) -> None:
         """Open the files. If the folder is empty or OpenCV cannot read the film, raise an error."""
         self._pictures = read_pictures(self._path, self._warn)
-        own = FILM_RATE if self._pictures.is_film else PICTURE_RATE
+        natural_rate = FILM_RATE if self._pictures.is_film else PICTURE_RATE
         if FILM_RATES[0] <= self._pictures.rate <= FILM_RATES[1]:
-            own = self._pictures.rate
-        self._rate = self._settings.rate or own
+            natural_rate = self._pictures.rate
+        self._rate = self._settings.rate or natural_rate
         self._due = 0.0
 
     def read(self, stop: Event) -> Frame | None:

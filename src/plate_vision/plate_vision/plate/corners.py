@@ -97,8 +97,8 @@ def _intersect_edges(outline: Outline, grid: OutlineGrid) -> tuple[np.ndarray, f
     Also return the root mean square of the edges' bows [m]."""
     ends = edge_points(grid.half, np.array([-1.0, 1.0]))  # (4, 2, 2)
     middle, slope, bow = outline.edges.T
-    away = middle[:, None] + slope[:, None] * np.array([-1.0, 1.0])
-    ends = ends + away[..., None] * OUTWARD[:, None]
+    offset = middle[:, None] + slope[:, None] * np.array([-1.0, 1.0])
+    ends = ends + offset[..., None] * OUTWARD[:, None]
     side = ends[:, 1] - ends[:, 0]
     corners = []
     for edge in range(4):  # at each corner, the previous edge ends and edge number `edge` begins
@@ -146,8 +146,8 @@ def _order_corners(corners_px: np.ndarray, rig: Rig) -> np.ndarray:
 
 
 def _normalise_corners(corners_px: np.ndarray) -> np.ndarray:
-    away = corners_px - corners_px.mean(axis=0)
-    return np.asarray(away / np.sqrt(np.mean(away**2)))
+    from_centre = corners_px - corners_px.mean(axis=0)
+    return np.asarray(from_centre / np.sqrt(np.mean(from_centre**2)))
 
 
 def _signed_area(corners_px: np.ndarray) -> float:

@@ -76,12 +76,12 @@ class PlateLocation:
         """Warning for the user, or None."""
         if self.pose is None:
             return "the plate's markers are not detected; the plate's last position is used"
-        away = float(np.hypot(*self.pose[:2]))
-        if away > AWAY_M:
+        distance = float(np.hypot(*self.pose[:2]))
+        if distance > AWAY_M:
             return (
-                f"distance of the plate from home is {1e3 * away:.1f} mm when the image is taken, "
-                f"allowed: up to {1e3 * AWAY_M:g} mm; check that the camera is triggered at the "
-                "cycle's start. If the camera was moved, call the service reset"
+                f"distance of the plate from home is {1e3 * distance:.1f} mm when the image is "
+                f"taken, allowed: up to {1e3 * AWAY_M:g} mm; check that the camera is triggered "
+                "at the cycle's start. If the camera was moved, call the service reset"
             )
         return None
 
@@ -105,11 +105,15 @@ def locate_plate(location: PlateLocation, image: np.ndarray) -> tuple[PlateLocat
             home.lens.check_folding(plate_px, straight=True)
     pose = find_pose(image, fiducials, home, location.pose)
     used = location.region_pose
-    here = pose if pose is not None else np.zeros(3) if used is None else used
-    if used is None or _max_corner_displacement(rig, here, used) > MOVED_M:
-        used = here if _max_corner_displacement(rig, here, np.zeros(3)) > MOVED_M else np.zeros(3)
+    plate_pose = pose if pose is not None else np.zeros(3) if used is None else used
+    if used is None or _max_corner_displacement(rig, plate_pose, used) > MOVED_M:
+        used = (
+            plate_pose
+            if _max_corner_displacement(rig, plate_pose, np.zeros(3)) > MOVED_M
+            else np.zeros(3)
+        )
     location = replace(location, home=home, pose=pose, region_pose=used)
-    return location, hide_markers(image, fiducials, home, here)
+    return location, hide_markers(image, fiducials, home, plate_pose)
 
 
 def fiducials_of(rig: Rig) -> Fiducials:

@@ -323,11 +323,15 @@ def _fit_edge(
 def _is_line(profile: np.ndarray, offset: np.ndarray, curve: np.ndarray, along: np.ndarray) -> bool:
     """Whether profiles (S, D) are equally bright on both sides of a curve (3,) [m]. If the profiles
     are equally bright, the curve is not an edge but a line on the plate or the table."""
-    at = curve[0] + curve[1] * along + curve[2] * (1 - along**2)
-    away = (offset - at[:, None]) / (offset[1] - offset[0])
+    curve_offset = curve[0] + curve[1] * along + curve[2] * (1 - along**2)
+    from_curve = (offset - curve_offset[:, None]) / (offset[1] - offset[0])
     sides = []
     for sign in (-1, 1):
-        beside = (sign * away >= SIDE_PX[0]) & (sign * away <= SIDE_PX[1]) & np.isfinite(profile)
+        beside = (
+            (sign * from_curve >= SIDE_PX[0])
+            & (sign * from_curve <= SIDE_PX[1])
+            & np.isfinite(profile)
+        )
         if not np.any(beside):
             return True
         sides.append(float(np.median(profile[beside])))
@@ -342,7 +346,7 @@ def _find_steps(profile: np.ndarray, offset: np.ndarray) -> list[np.ndarray]:
     # with this scale, the response to a brightness step is the height of the step
     kernel = 2 * kernel / np.sum(np.abs(kernel))
     slope = np.stack([np.convolve(row, kernel[::-1], mode="valid") for row in profile])
-    at = offset[4:-4]
+    offset_inside = offset[4:-4]
     noise = 1.4826 * float(np.nanmedian(np.abs(slope - np.nanmedian(slope))))
     threshold = max(MIN_STEP, NOISE_STEPS * noise)
     result = []
@@ -354,7 +358,9 @@ def _find_steps(profile: np.ndarray, offset: np.ndarray) -> list[np.ndarray]:
         rows = np.arange(len(peak))[:, None]
         bend = left + right - 2 * middle
         shift = np.divide(left - right, 2 * bend, out=np.zeros_like(bend), where=bend < 0)
-        place = at[1:-1][order] + shift[rows, order] * (at[1] - at[0])
+        place = offset_inside[1:-1][order] + shift[rows, order] * (
+            offset_inside[1] - offset_inside[0]
+        )
         result.append(np.where(peak[rows, order] > 0, place, np.nan))
     return result
 
@@ -379,17 +385,20 @@ def _fit_curve(
     thirds = np.array_split(rows, 3)
     pick = np.stack([rng.choice(third, DRAWS) for third in thirds], axis=1)  # (DRAWS, 3)
     count = np.sum(np.isfinite(drawn), axis=1)
-    which = np.argsort(~np.isfinite(drawn), axis=1, kind="stable")
+    finite_first = np.argsort(~np.isfinite(drawn), axis=1, kind="stable")
     take = (rng.random((DRAWS, 3)) * count[pick]).astype(int)
-    value = drawn[pick, which[pick, take]]
+    value = drawn[pick, finite_first[pick, take]]
     curve = np.linalg.solve(terms[pick], value[..., None])[..., 0]
-    away = np.abs(drawn[None] - (curve @ terms.T)[:, :, None])
-    hits = np.sum(np.nanmin(np.where(np.isfinite(away), away, np.inf), axis=2) <= tolerance, axis=1)
+    from_curve = np.abs(drawn[None] - (curve @ terms.T)[:, :, None])
+    hits = np.sum(
+        np.nanmin(np.where(np.isfinite(from_curve), from_curve, np.inf), axis=2) <= tolerance,
+        axis=1,
+    )
     best = curve[np.argmax(hits)]
     for _ in range(4):
-        away = np.where(np.isfinite(every), np.abs(every - (terms @ best)[:, None]), np.inf)
-        nearest = np.argmin(away, axis=1)
-        inlier = away[np.arange(len(along)), nearest] <= tolerance
+        from_curve = np.where(np.isfinite(every), np.abs(every - (terms @ best)[:, None]), np.inf)
+        nearest = np.argmin(from_curve, axis=1)
+        inlier = from_curve[np.arange(len(along)), nearest] <= tolerance
         if np.count_nonzero(inlier) < SUPPORT * len(along):
             return best, 0.0
         value = every[np.arange(len(along)), nearest]
@@ -445,13 +454,13 @@ def measure_deviation(outline: Outline, grid: OutlineGrid) -> Deviation:
         [normal, np.sum(normal * turned, axis=-1, keepdims=True), normal * point], axis=-1
     ).reshape(-1, 5)
     middle, slope, bow = outline.edges[seen].T
-    away = (middle[:, None] + slope[:, None] * ends).ravel()
-    motion = np.linalg.lstsq(terms, away, rcond=None)[0]
+    offset = (middle[:, None] + slope[:, None] * ends).ravel()
+    motion = np.linalg.lstsq(terms, offset, rcond=None)[0]
     # If an edge is not visible, the shift and the stretch across this edge cannot be separated.
     # Therefore, the stretch is assumed to be equal along both axes.
     if len(seen) < 4:
         same = np.column_stack([terms[:, :3], terms[:, 3] + terms[:, 4]])
-        found = np.linalg.lstsq(same, away, rcond=None)[0]
+        found = np.linalg.lstsq(same, offset, rcond=None)[0]
         motion = np.array([*found, found[3]])
         terms = np.column_stack([same[:, :3], terms[:, 3:]])
     x, y, rotation, along, across = motion.tolist()
@@ -462,7 +471,7 @@ def measure_deviation(outline: Outline, grid: OutlineGrid) -> Deviation:
     bent = np.abs(bow) > np.maximum(BOW_M, BOW_PX / grid.scale[seen])
     mean, min_bow = float(np.mean(bow)), np.min(np.sign(np.mean(bow)) * bow_px)
     bowed = np.count_nonzero(bent) >= 2 and float(min_bow) > -0.2 * float(np.max(np.abs(bow_px)))
-    rest = float(np.max(np.abs(away - terms @ motion)))
+    rest = float(np.max(np.abs(offset - terms @ motion)))
     worst = max(float(np.max(np.hypot(*moved.T))), float(np.max(np.abs(bow))), rest)
     return Deviation(
         (x, y), rotation, (along, across), mean, float(np.mean(bow_px)), bool(bowed), rest, worst
@@ -542,7 +551,7 @@ class OutlineCheck:
     def _evaluate(self, image: np.ndarray) -> OutlineCheck:
         """Return a copy with the result of all images. `image` is the last image."""
         grid = self.grid
-        every = np.stack([one.edges for one in self.measured])
+        every = np.stack([measurement.edges for measurement in self.measured])
         often = np.sum(np.isfinite(every[:, :, 0]), axis=0) > IMAGES / 2
         edges, moving = np.full((4, 3), np.nan), self.moving
         for edge in np.flatnonzero(often):

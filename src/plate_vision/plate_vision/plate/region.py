@@ -187,7 +187,7 @@ def _fit_bows(points: np.ndarray, normals: np.ndarray, offsets: np.ndarray) -> n
     for edge, end, normal, offset in zip(points, corners, normals, offsets, strict=True):
         line = np.concatenate([edge, end[None]])
         along = 2 * (end - edge[0]) / np.sum((end - edge[0]) ** 2)
-        at = -1 - along @ edge[0]
-        bow = np.polyfit(at + line @ along, line @ normal + offset, min(BOW_DEGREE, len(edge)))
-        bows.append([at, *along, *np.zeros(BOW_DEGREE + 1 - len(bow)), *bow])
+        begin = -1 - along @ edge[0]
+        bow = np.polyfit(begin + line @ along, line @ normal + offset, min(BOW_DEGREE, len(edge)))
+        bows.append([begin, *along, *np.zeros(BOW_DEGREE + 1 - len(bow)), *bow])
     return np.array(bows)

@@ -273,18 +273,18 @@ class AimingView:
         known = [] if refused or board else situation.things
         msg.things = [
             SeenThing(
-                id=one.id, x_px=one.x_px, y_px=one.y_px, radius_px=one.radius_px,
-                reason=one.reason, remedy=one.remedy,
+                id=thing.id, x_px=thing.x_px, y_px=thing.y_px, radius_px=thing.radius_px,
+                reason=thing.reason, remedy=thing.remedy,
             )
-            for one in known
+            for thing in known
         ]  # fmt: skip
         waits = [("lens", Finding(Level.STALE, "taking pictures of a board"))]
         checks += waits if board else situation.findings
         if self._home_is_old and not board:
-            again = Finding(
+            home_finding = Finding(
                 Level.WARN, "home was found before the lens was changed; find home again"
             )
-            checks.insert([name for name, _ in checks].index("lens") + 1, ("home", again))
+            checks.insert([name for name, _ in checks].index("lens") + 1, ("home", home_finding))
         msg.checks = [
             AimCheck(name=name, level=LEVELS[found.level], text=found.message)
             for name, found in checks

@@ -187,11 +187,11 @@ class Background:
         if not len(rows):
             return self
         pixels = np.asarray(image)[rows, columns][:, None]
-        here = to_channels(pixels, self.lab.shape[2])[:, 0, 0].astype(np.float32)
+        now = to_channels(pixels, self.lab.shape[2])[:, 0, 0].astype(np.float32)
         limit = self.limit[rows, columns]
 
         def differing_fraction(light: np.ndarray) -> float:
-            return float(np.mean(np.abs(light[rows, columns] - here) > limit))
+            return float(np.mean(np.abs(light[rows, columns] - now) > limit))
 
         light = self.lab[:, :, 0].astype(np.float32)
         if differing_fraction(light) < SOFTER:
@@ -286,10 +286,10 @@ def model_background(image: np.ndarray) -> Background:
     bare = _round_colours(grown).reshape(lab.shape)
     inner = cv2.erode(kept.reshape(size[1], size[0]).astype(np.uint8), np.ones((3, 3), np.uint8))
     shown = cv2.resize(inner, (width, height), interpolation=cv2.INTER_NEAREST) > 0
-    away = deviation(lab, bare, CHROMA[1])[shown]
-    if not len(away):
+    deviations = deviation(lab, bare, CHROMA[1])[shown]
+    if not len(deviations):
         return nothing
-    noise = float(np.percentile(away, TEXTURE_PERCENT)) * TEXTURE / SIGMAS
+    noise = float(np.percentile(deviations, TEXTURE_PERCENT)) * TEXTURE / SIGMAS
     limit = _deviation_limit(np.full((height, width), noise, np.float32))
     return Background(bare, limit, cleaned=dirty)
 
@@ -306,8 +306,8 @@ def _adapt_locally(
         total = cv2.GaussianBlur(weight, (0, 0), width).reshape(-1, 1)
         change = cv2.GaussianBlur(rest, (0, 0), width).reshape(values.shape)
         surface = surface + change / np.maximum(total, MIN_FRACTION)
-        away = _colour_magnitudes(values - surface, CHROMA[1])
-        kept = away <= SIGMAS * max(1.2 * float(np.median(away[kept])), MIN_NOISE)
+        magnitude = _colour_magnitudes(values - surface, CHROMA[1])
+        kept = magnitude <= SIGMAS * max(1.2 * float(np.median(magnitude[kept])), MIN_NOISE)
     return surface.astype(np.float32), kept
 
 
@@ -359,8 +359,9 @@ def steepness(
     gradient of each channel is multiplied by the weight of this channel. The result is the maximum
     over the channels."""
     slopes = [
-        weight * np.hypot(cv2.Sobel(one, cv2.CV_32F, 1, 0), cv2.Sobel(one, cv2.CV_32F, 0, 1))
-        for one, weight in zip(cv2.split(image), weights, strict=False)
+        weight
+        * np.hypot(cv2.Sobel(channel, cv2.CV_32F, 1, 0), cv2.Sobel(channel, cv2.CV_32F, 0, 1))
+        for channel, weight in zip(cv2.split(image), weights, strict=False)
     ]
     return np.asarray(np.max(slopes, axis=0))
 

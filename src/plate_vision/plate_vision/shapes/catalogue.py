@@ -57,10 +57,10 @@ class Template:
         (SAMPLES, 4)."""
         edges = self.outline.edges
         end = np.cumsum(edges[:, 4])
-        at = (np.arange(SAMPLES) + 0.5) * end[-1] / SAMPLES
-        i = np.searchsorted(end, at)
+        distance = (np.arange(SAMPLES) + 0.5) * end[-1] / SAMPLES
+        i = np.searchsorted(end, distance)
         unit, length = edges[i, 2:4], edges[i, 4]
-        points = edges[i, :2] + (length - end[i] + at)[:, None] * unit
+        points = edges[i, :2] + (length - end[i] + distance)[:, None] * unit
         return np.column_stack([points, unit[:, 1], -unit[:, 0]])
 
     @cached_property

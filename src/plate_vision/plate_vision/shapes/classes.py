@@ -277,31 +277,35 @@ def _classify_patches(
         )
         fit = FIT_PX**2 + (FIT_REACH * reach_px) ** 2 + (0.5 * outline_rms_px) ** 2
         size = SIZE_PX**2 + (SIZE_REACH * reach_px) ** 2 + outline_rms_px**2
-        filled = np.array([[one.filled.area for one in own] for own in on_plate])[height_index].T
+        filled = np.array([[item.filled.area for item in of_patches] for of_patches in on_plate])[
+            height_index
+        ].T
         own_area = catalogue.filled_area + swell / scale[:, None] * catalogue.perimeter
         swell_px = scale[:, None] * np.abs(filled - own_area) / catalogue.perimeter
         ratio = np.log(np.maximum(filled, 1e-12) / own_area) / 2
         other = (np.abs(ratio) > OTHER_SIZE) & (swell_px > OTHER_SIZE_PX)
-        form = np.array([[one.form for one in own] for own in on_plate])[height_index].swapaxes(
-            0, 1
-        )
+        form = np.array([[item.form for item in of_patches] for of_patches in on_plate])[
+            height_index
+        ].swapaxes(0, 1)
         other |= np.sum((form - catalogue.form) ** 2, axis=2) > UNLIKE**2
         tints = [
-            colours if h == 0 and lamp is None else top_colours(image, own, calibration, h, colours)
-            for h, own in zip(levels, on_plate, strict=True)
+            colours
+            if h == 0 and lamp is None
+            else top_colours(image, of_patches, calibration, h, colours)
+            for h, of_patches in zip(levels, on_plate, strict=True)
         ]
         tint = np.array(tints)[height_index].swapaxes(0, 1)
         tint = np.nan_to_num(colour_distance(tint, catalogue.colour, image.ndim == 3))
         # Blur or a shadow can fill a hole. In such an image, the measured colour of the part
         # includes the colour in the hole. Therefore the colour has less weight.
-        holed = np.array([bool(one.part.holes) for one in catalogue.templates])
+        holed = np.array([bool(item.part.holes) for item in catalogue.templates])
         weight = np.where(holed & (hole_check is not None), FILLED_COLOUR, 1.0)
         min_score = (weight * tint / COLOUR_LAB) ** 2 + np.maximum(
             swell_px - SLACK_PX, 0
         ) ** 2 / size
         min_score[other] = np.inf
         for i in range(len(outlines)):
-            seen = [own[i] for own in on_plate]
+            seen = [of_patches[i] for of_patches in on_plate]
             own_outlines = [seen[level] for level in height_index]
             _classify_patch(
                 found[i], own_outlines, catalogue, scale[i], min_score[i], fit[i], size[i], tint[i],
@@ -331,8 +335,8 @@ def height_levels(
     height = catalogue.height if calibration.place is not None else np.zeros(len(catalogue.area))
     if not np.any(height):
         return [0.0], np.zeros(len(height), int), 0
-    levels, which, count = np.unique(height, return_inverse=True, return_counts=True)
-    return levels.tolist(), which.ravel(), int(np.argmax(count))
+    levels, level_index, count = np.unique(height, return_inverse=True, return_counts=True)
+    return levels.tolist(), level_index.ravel(), int(np.argmax(count))
 
 
 def footprints(
@@ -350,8 +354,8 @@ def footprints(
         ends = calibration.to_home(calibration.to_image(centre) + lamp.shift_px)
         shadows = list(ends - centre)
     return [
-        footprint(one, calibration.place, height, float(own), shadow) or one
-        for one, own, shadow in zip(outlines, scale, shadows, strict=True)
+        footprint(visible, calibration.place, height, float(part_scale), shadow) or visible
+        for visible, part_scale, shadow in zip(outlines, scale, shadows, strict=True)
     ]
 
 
@@ -393,10 +397,10 @@ def measure_patches(
     colours of the patches, CIE L, a, b (n, 3)."""
     rings, colours = [], []
     for patch in patches:
-        here, mask = patch.windowed(image.shape)
+        window, mask = patch.windowed(image.shape)
         framed = cv2.copyMakeBorder(mask, 1, 1, 1, 1, cv2.BORDER_CONSTANT)
-        found, colour = patch_rings(framed, image[here], count)
-        rings.append([ring + (here[1].start, here[0].start) for ring in found])
+        found, colour = patch_rings(framed, image[window], count)
+        rings.append([ring + (window[1].start, window[0].start) for ring in found])
         colours.append(colour)
     if not rings:
         return [], np.empty((0, 3))
@@ -500,14 +504,14 @@ def _hole_combinations(
     """Return the combinations of a type and an outline that `_classify_patch` fits. Each
     combination consists of a template, an outline, and the penalty for the holes in standard
     deviations. The penalty is None if it depends on the image in the holes."""
-    own, seen = bool(template.part.holes), len(outline.ends) > 1
+    has_holes, seen = bool(template.part.holes), len(outline.ends) > 1
     plain = template, outline, 0.0
     filled = template.filled, outline.filled, None
-    if own and seen and hole_check is not None:
+    if has_holes and seen and hole_check is not None:
         # If half of a hole is in shadow, the outline contains only a part of the hole. Therefore
         # the type is fitted both with and without its holes.
         return [plain, filled]
-    return [plain] if own == seen else [filled]
+    return [plain] if has_holes == seen else [filled]
 
 
 def _measure_conditions(
@@ -549,7 +553,7 @@ def _measure_lamp(
     Blur enlarges outlines on all sides. The growth by blur is measured across the shadows and
     subtracted.
     """
-    numbers = {one.part.name: j for j, one in enumerate(catalogue.templates)}
+    numbers = {template.part.name: j for j, template in enumerate(catalogue.templates)}
     centre = np.column_stack([found["x"], found["y"]])[named]
     scale = calibration.scale(centre)
     shift = calibration.to_home(calibration.to_image(centre) + lamp.shift_px) - centre

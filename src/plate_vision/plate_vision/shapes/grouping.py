@@ -188,16 +188,16 @@ def traits(inside: np.ndarray) -> Traits:
     hull = cv2.convexHull(contour)
     # OpenCV's contour connects the centres of the outermost pixels, which are half a pixel inside
     # the edge. The computed area is corrected for this half pixel.
-    whole = cv2.contourArea(hull) + 0.5 * cv2.arcLength(hull, True) + 1
-    return area, (moments["mu20"] + moments["mu02"]) / area**2, min(area / whole, 1.0)
+    hull_area = cv2.contourArea(hull) + 0.5 * cv2.arcLength(hull, True) + 1
+    return area, (moments["mu20"] + moments["mu02"]) / area**2, min(area / hull_area, 1.0)
 
 
-def is_similar(one: Traits, other: Traits, spread: Traits = ALIKE) -> bool:
+def is_similar(a: Traits, b: Traits, spread: Traits = ALIKE) -> bool:
     """Whether two pieces have similar traits."""
     return (
-        abs(one[0] - other[0]) <= spread[0] * max(one[0], other[0])
-        and abs(one[1] - other[1]) <= spread[1] * max(one[1], other[1])
-        and abs(one[2] - other[2]) <= spread[2]
+        abs(a[0] - b[0]) <= spread[0] * max(a[0], b[0])
+        and abs(a[1] - b[1]) <= spread[1] * max(a[1], b[1])
+        and abs(a[2] - b[2]) <= spread[2]
     )
 
 
@@ -252,17 +252,17 @@ def _rejoin_fragments(pieces: list[Piece], solids: list[Solid]) -> list[Piece]:
     result is a group."""
     kept: list[Piece] = []
     for rank in sorted({piece.rank for piece in pieces}):
-        own = [piece for piece in pieces if piece.rank == rank]
+        of_rank = [piece for piece in pieces if piece.rank == rank]
         good = [
             piece
-            for piece in own
+            for piece in of_rank
             if piece.solidity > COMPACT
-            or any(is_similar(piece.traits, one.traits) for one in pieces if one is not piece)
+            or any(is_similar(piece.traits, other.traits) for other in pieces if other is not piece)
         ]
-        good_fraction = sum(piece.area for piece in good) / sum(piece.area for piece in own)
-        if len(own) > 1 and good_fraction < MIN_GOOD:
-            own = [Piece(solids[rank][0], rank, True, group=len(own) > 2)]
-        kept += own
+        good_fraction = sum(piece.area for piece in good) / sum(piece.area for piece in of_rank)
+        if len(of_rank) > 1 and good_fraction < MIN_GOOD:
+            of_rank = [Piece(solids[rank][0], rank, True, group=len(of_rank) > 2)]
+        kept += of_rank
     return kept
 
 
@@ -316,8 +316,8 @@ def _cut_by_similarity(
         for i, piece in enumerate(pieces)
         if any(is_similar(piece.traits, other.traits) for k, other in enumerate(pieces) if k != i)
     ]
-    usual = float(np.median([kind[0] for kind in kinds])) if kinds else np.inf
-    common = [kind for kind in kinds if kind[0] > SMALLER * usual]
+    typical_area = float(np.median([kind[0] for kind in kinds])) if kinds else np.inf
+    common = [kind for kind in kinds if kind[0] > SMALLER * typical_area]
     done: list[Piece] = []
     # The list is sorted so that `pop` returns the smallest piece first.
     todo = sorted(pieces, key=lambda piece: -piece.inside.size)
@@ -333,7 +333,7 @@ def _cut_by_similarity(
         if halves is not None:
             todo += halves
             continue
-        several = len(kinds) >= MOSTLY * len(pieces) and piece.area > LARGER * usual
+        several = len(kinds) >= MOSTLY * len(pieces) and piece.area > LARGER * typical_area
         piece.group = piece.group or (several and piece.solidity < DENTED)
         if piece.group or (not piece.alone and piece.solidity < CONVEX):
             done += _split_along_edges(piece, *solids[piece.rank][1:], common, limit, work)
@@ -375,23 +375,23 @@ def _split_along_edges(
         labels, count, _ = split_patch(open_, piece.inside)
         found = [Piece(labels == k, piece.rank, False) for k in range(1, count + 1)]
         good = [
-            one
-            for one in found
-            if any(is_similar(one.traits, kind, RATHER_ALIKE) for kind in kinds)
-            or (one.solidity > CONVEX and one.area > min_area)
+            fragment
+            for fragment in found
+            if any(is_similar(fragment.traits, kind, RATHER_ALIKE) for kind in kinds)
+            or (fragment.solidity > CONVEX and fragment.area > min_area)
         ]
-        parted = sum(one.area for one in good)
+        parted = sum(fragment.area for fragment in good)
         if len(good) > 1 and parted > max_parted:
             max_parted = parted
             best = _assign_rest(good, piece)
     # The remaining pieces are split along their inner edges.
     return [
         part
-        for one in best
+        for fragment in best
         for part in (
-            _split_along_edges(one, amount, colours, kinds, limit, work)
-            if one.group and one is not piece
-            else [one]
+            _split_along_edges(fragment, amount, colours, kinds, limit, work)
+            if fragment.group and fragment is not piece
+            else [fragment]
         )
     ]
 
@@ -401,14 +401,14 @@ def _colour_borders(colours: np.ndarray, inside: np.ndarray, count: int) -> np.n
     lab = cv2.medianBlur(colours, 5)[inside].astype(np.float32)
     hue = np.arctan2(lab[:, 2] - 128, lab[:, 1] - 128)
     start = (count * (0.5 + hue / (2 * np.pi))).astype(np.int32) % count
-    _, own, _ = cv2.kmeans(
+    _, cluster, _ = cv2.kmeans(
         lab * np.array(COLOUR_WEIGHTS, np.float32), count, start[:, None],
         (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 10, 1.0), 1,
         cv2.KMEANS_USE_INITIAL_LABELS,
     )  # fmt: skip
-    which = np.zeros(inside.shape, np.uint8)
-    which[inside] = 1 + own.ravel()
-    main = cv2.medianBlur(which, 5)
+    cluster_image = np.zeros(inside.shape, np.uint8)
+    cluster_image[inside] = 1 + cluster.ravel()
+    main = cv2.medianBlur(cluster_image, 5)
     cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
     return np.asarray(cv2.dilate(main, cross) != main)
 
@@ -417,11 +417,11 @@ def _assign_rest(good: list[Piece], piece: Piece) -> list[Piece]:
     """Return the good pieces of a piece. The rest of the piece is assigned to the nearest good
     pieces. If a connected rest is large compared with the good pieces, this rest is returned as a
     group."""
-    nearest = _nearest_area([one.inside for one in good])
-    rest = piece.inside & ~np.any([one.inside for one in good], axis=0)
+    nearest = _nearest_area([part.inside for part in good])
+    rest = piece.inside & ~np.any([part.inside for part in good], axis=0)
     count, left = cv2.connectedComponents(rest.astype(np.uint8), connectivity=4)
     area = np.bincount(left.ravel(), minlength=count)
-    large = area > MIN_FRACTION * min(one.area for one in good)
+    large = area > MIN_FRACTION * min(part.area for part in good)
     large[0] = False
     shared = piece.inside & ~large[left]
     return [
@@ -433,7 +433,7 @@ def _assign_rest(good: list[Piece], piece: Piece) -> list[Piece]:
 def _nearest_area(places: list[np.ndarray]) -> np.ndarray:
     """Return the index (h, w) of the area (h, w) bool that is nearest to each pixel. If several
     areas are equally near, the first one is returned."""
-    gaps = [cv2.distanceTransform((~one).astype(np.uint8), cv2.DIST_L2, 3) for one in places]
+    gaps = [cv2.distanceTransform((~area).astype(np.uint8), cv2.DIST_L2, 3) for area in places]
     return np.argmin(gaps, axis=0)
 
 

@@ -224,17 +224,19 @@ def explain_groups(
     area = np.pi * (seen["radius_px"] / calibration.scale(_positions(seen))) ** 2
     tries = Work(MAX_TRIES)
     clusters = _find_clusters(patches, explained, image.shape[:2])
-    for members in sorted(clusters, key=lambda one: float(np.sum(area[one]))):
+    for members in sorted(clusters, key=lambda recognised: float(np.sum(area[recognised]))):
         if np.sum(area[members]) < TWO * min_area or not tries.left:
             continue
-        own = members[~explained[members]]
-        for chosen in (members, own) if len(own) < len(members) else (members,):
+        unexplained = members[~explained[members]]
+        for chosen in (members, unexplained) if len(unexplained) < len(members) else (members,):
             union = _merge_patches([patches[i] for i in chosen])
-            one = recognise(image, [union], catalogue, calibration, conditions)
-            if len(chosen) > 1 and one["label"][0] != GROUP:
-                parts = one
+            recognised = recognise(image, [union], catalogue, calibration, conditions)
+            if len(chosen) > 1 and recognised["label"][0] != GROUP:
+                parts = recognised
             else:
-                parts = _explain_group(image, union, one, catalogue, calibration, tries, conditions)
+                parts = _explain_group(
+                    image, union, recognised, catalogue, calibration, tries, conditions
+                )
             if len(parts):
                 kept[chosen] = False
                 added.append(parts)
@@ -258,10 +260,10 @@ def _find_clusters(
     touching = np.eye(len(patches), dtype=bool)
     free = np.flatnonzero(~explained)
     element = np.ones((2 * TOUCH_PX + 1,) * 2, np.uint8)
-    for one in free.tolist():
-        window = owner[patches[one].around(TOUCH_PX, shape)]
-        near = window[cv2.dilate((window == one).astype(np.uint8), element) > 0]
-        touching[one, near[near >= 0]] = True
+    for index in free.tolist():
+        window = owner[patches[index].around(TOUCH_PX, shape)]
+        near = window[cv2.dilate((window == index).astype(np.uint8), element) > 0]
+        touching[index, near[near >= 0]] = True
     _, cluster = connected_components(touching[np.ix_(free, free)])
     return [
         np.flatnonzero(np.any(touching[free[cluster == number]], axis=0))
@@ -280,38 +282,38 @@ def _merge_patches(patches: Sequence[Patch]) -> Patch:
     if len(patches) > 1:
         framed = cv2.copyMakeBorder(mask, 3, 3, 3, 3, cv2.BORDER_CONSTANT)
         mask = cv2.morphologyEx(framed, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))[3:-3, 3:-3]
-    whole = all(patch.whole for patch in patches)
+    is_whole = all(patch.whole for patch in patches)
     group = len(patches) > 1 or patches[0].group
-    return Patch(mask > 0, (int(low[0]), int(low[1])), mask.astype(np.float32), whole, group)
+    return Patch(mask > 0, (int(low[0]), int(low[1])), mask.astype(np.float32), is_whole, group)
 
 
 def _explain_group(
     image: np.ndarray,
     union: Patch,
-    one: np.ndarray,
+    recognised: np.ndarray,
     catalogue: Catalogue,
     calibration: Calibration,
     tries: Work,
     conditions: Conditions | None,
 ) -> np.ndarray:
     """Return the detections (n,) DETECTED_OBJECT of the parts of a group and of its rest. The
-    result is empty if no parts are found. `one` (1,) is the detection of the whole group."""
+    result is empty if no parts are found. `recognised` (1,) is the detection of the whole group."""
     outlines, _ = measure_patches(image, [union], calibration, CONTOUR_POINTS)
-    here, mask = union.windowed(image.shape)
-    corner = here[1].start, here[0].start
-    place = _positions(one)
+    window, mask = union.windowed(image.shape)
+    corner = window[1].start, window[0].start
+    place = _positions(recognised)
     scale = float(calibration.scale(place)[0])
     steps = np.array([[0.0, 0], [1, 0], [0, 1]]) / scale
     origin, right, up = calibration.to_image(place + steps)
     linear = np.column_stack([right - origin, up - origin]) * scale
     to_px = np.column_stack([linear, origin - corner - linear @ place[0]])
-    view = View(mask, image[here], to_px, scale, outlines[0])
+    view = View(mask, image[window], to_px, scale, outlines[0])
     lamp = None if conditions is None else conditions.lamp
-    levels, _, usual = height_levels(catalogue, calibration)
-    if levels[usual] or lamp is not None:
-        view = _footprint_view(view, calibration, levels[usual], lamp)
+    levels, _, typical_level = height_levels(catalogue, calibration)
+    if levels[typical_level] or lamp is not None:
+        view = _footprint_view(view, calibration, levels[typical_level], lamp)
     max_area = LARGER * float(np.max(catalogue.filled_area))
-    uncertain = one["label"][0] == UNKNOWN and outlines[0].filled.area < max_area
+    uncertain = recognised["label"][0] == UNKNOWN and outlines[0].filled.area < max_area
     found = find_parts_in_group(_reduce_resolution(view, catalogue), catalogue, uncertain, tries)
     # The search used a reduced resolution. Fit the parts again to the contour at full resolution.
     found = [replace(part, pose=view.fitted(part.template, part.pose)) for part in found]
@@ -358,9 +360,9 @@ def _remaining_patches(left: np.ndarray, corner: tuple[int, int], min_area: floa
     for label in range(1, len(stats)):
         x, y, w, h, area = stats[label].tolist()
         if area >= min_area:
-            own = labels[y : y + h, x : x + w] == label
+            mask = labels[y : y + h, x : x + w] == label
             place = corner[0] + x, corner[1] + y
-            pieces.append(Patch(own, place, own.astype(np.float32), group=True))
+            pieces.append(Patch(mask, place, mask.astype(np.float32), group=True))
     return pieces
 
 
@@ -446,8 +448,8 @@ def _edge_distances(view: View) -> np.ndarray:
     edge = (step > EDGE_STEP) & (border > EDGE_DEPTH_PX)
     if not edge.any():
         return border
-    away = cv2.distanceTransform((~edge).astype(np.uint8), cv2.DIST_L2, 5)
-    return np.asarray(np.minimum(border, np.where(border > 0, away + 0.5, border)))
+    from_edge = cv2.distanceTransform((~edge).astype(np.uint8), cv2.DIST_L2, 5)
+    return np.asarray(np.minimum(border, np.where(border > 0, from_edge + 0.5, border)))
 
 
 def _signed_distance(mask: np.ndarray) -> np.ndarray:
@@ -459,13 +461,13 @@ def _signed_distance(mask: np.ndarray) -> np.ndarray:
 
 def _remove_part(view: View, left: np.ndarray, part: DetectedPart) -> np.ndarray:
     """Return the rest (h, w) uint8 of a group after a part was removed."""
-    own = view.drawn(part)
-    rest = np.where(cv2.dilate(own, np.ones((3, 3), np.uint8)) > 0, 0, left).astype(np.uint8)
+    drawn = view.drawn(part)
+    rest = np.where(cv2.dilate(drawn, np.ones((3, 3), np.uint8)) > 0, 0, left).astype(np.uint8)
     small = np.ones((3, 3), np.uint8)
     # The dilation of the part also removed pixels of its neighbours along the contour. Restore
     # these pixels.
     grown = cv2.dilate(cv2.morphologyEx(rest, cv2.MORPH_OPEN, small), small)
-    return np.asarray(grown & left & (1 - own))
+    return np.asarray(grown & left & (1 - drawn))
 
 
 def _find_candidates(

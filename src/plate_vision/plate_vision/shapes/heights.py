@@ -102,14 +102,16 @@ def footprint(
         ]
     if len(seen) == 1:
         return outline
-    low = np.min([one[0].min(axis=0) for one in seen], axis=0) - MARGIN_PX / scale
-    high = np.max([one[0].max(axis=0) for one in seen], axis=0)
+    low = (
+        np.min([visible_rings[0].min(axis=0) for visible_rings in seen], axis=0) - MARGIN_PX / scale
+    )
+    high = np.max([visible_rings[0].max(axis=0) for visible_rings in seen], axis=0)
     size = np.ceil((high - low) * scale + MARGIN_PX).astype(int)
     fine = np.zeros(FINE * size[::-1], np.uint8)
     both = np.full_like(fine, 255)
-    for one in seen:
+    for visible_rings in seen:
         fine[:] = 0
-        for number, ring in enumerate(one):
+        for number, ring in enumerate(visible_rings):
             # Pixel centres have whole-number coordinates, in the image as well as in the finer
             # grid.
             point = (ring - low) * scale

@@ -62,18 +62,18 @@ class HoleCheck:
         body, _ = self._sample_colours(to_home(fit[:3], template.inner), template.part.height_m)
         if not len(holes) or not len(body):
             return None
-        here, bare, part = (np.median(one, axis=0) for one in (holes, plate, body))
-        origin = _kernels.LIGHTNESS_0 if len(here) == 3 else 0.0
-        light = (here[0] + origin) / (bare[0] + origin)
+        inside_hole, bare, part = (np.median(colours, axis=0) for colours in (holes, plate, body))
+        origin = _kernels.LIGHTNESS_0 if len(inside_hole) == 3 else 0.0
+        light = (inside_hole[0] + origin) / (bare[0] + origin)
         limit, chroma = self._median_limit, self.background.chroma
-        tint = chroma * (here[1:] - 128 - light * (bare[1:] - 128))
+        tint = chroma * (inside_hole[1:] - 128 - light * (bare[1:] - 128))
         noise = limit / max(bare[0], 1)
         if (
             not DARKEST < light < 1 + noise
             or np.hypot.reduce(tint, initial=0) > CHROMA_LIMIT * limit
         ):
             return None
-        gap = here - part
+        gap = inside_hole - part
         gap[1:] *= chroma
         return SEEN if float(np.sqrt(gap @ gap)) > limit else UNSEEN
 

@@ -156,10 +156,10 @@ class Lit:
         lab, bare = self.convert(self.image[every]), np.ascontiguousarray(self.bare[every])
         x, y, unit = self.region.samples.place
         place = np.array([x / EVERY, y / EVERY, unit * EVERY], np.float32)
-        lit, away = bare.copy(), np.empty(lab.shape[:2], np.uint8)
+        lit, deviations = bare.copy(), np.empty(lab.shape[:2], np.uint8)
         _kernels.relight(bare, surface, place, (0, 0, *lab.shape[1::-1]), lit)
-        _kernels.deviation(lab, lit, self.chroma, away)
-        agrees = (away <= self.limit[every]) & self.region.usable[every]
+        _kernels.deviation(lab, lit, self.chroma, deviations)
+        agrees = (deviations <= self.limit[every]) & self.region.usable[every]
         stats = cv2.connectedComponentsWithStats(agrees.astype(np.uint8), connectivity=4)[2]
         areas = stats[1:, cv2.CC_STAT_AREA]
         return float(areas.max() / areas.sum()) if len(areas) else 0.0
@@ -190,7 +190,7 @@ def fit_light(lit: Lit, before: Light | None = None) -> Light:
     near = _colour_deviation(*colours, lit.chroma, design, last) <= STEADY_LIMIT * limit
     if np.mean(near) >= STEADY:
         return Light(*_fit_surfaces(*colours, limit, lit.chroma, design, last, PASSES[-2:]))
-    usual = float(np.log(max(last[0, 0], 1e-3)))
+    last_value = float(np.log(max(last[0, 0], 1e-3)))
     ratio = np.log(np.maximum(seen[:, 0] - origin[0], 1) / np.maximum(known[:, 0] - origin[0], 1))
     found = []
     modes = _frequent_ratios(ratio, weight, seen.shape[1])
@@ -207,12 +207,12 @@ def fit_light(lit: Lit, before: Light | None = None) -> Light:
             float(np.exp(mode)) * EVEN[:, : seen.shape[1]],
             tuple((terms, min(near, 0.5 * gap * level)) for terms, near in PASSES),
         )
-        value = float(np.sum(weight[kept])) * np.exp(-abs(mode - usual))
+        value = float(np.sum(weight[kept])) * np.exp(-abs(mode - last_value))
         found.append((value, surface, kept))
-    found.sort(key=lambda one: -one[0])
-    likely = [one for one in found if one[0] > AMBIGUOUS * found[0][0]]
+    found.sort(key=lambda candidate: -candidate[0])
+    likely = [candidate for candidate in found if candidate[0] > AMBIGUOUS * found[0][0]]
     if len(likely) > 1:
-        likely.sort(key=lambda one: -one[0] * lit.connected(one[1]))
+        likely.sort(key=lambda candidate: -candidate[0] * lit.connected(candidate[1]))
     fraction = float(np.mean(likely[0][2])) if likely else 0.0
     if fraction < MIN_SHOWN:
         low, high = FACTORS

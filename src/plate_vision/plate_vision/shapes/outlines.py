@@ -132,11 +132,11 @@ def patch_rings(
         (i for i in range(len(contours)) if tree[0, i, 3] < 0), key=lambda i: len(contours[i])
     )
     rings = []
-    length, whole = len(contours[outer]), cv2.contourArea(contours[outer])
+    length, outer_area = len(contours[outer]), cv2.contourArea(contours[outer])
     for i in [outer, *(i for i in range(len(contours)) if tree[0, i, 3] == outer)]:
         ring = contours[i][:, 0]
         number = count if i == outer else max(round(count * len(ring) / length), MIN_HOLE_POINTS)
-        small = i != outer and cv2.contourArea(contours[i]) < MIN_HOLE * whole
+        small = i != outer and cv2.contourArea(contours[i]) < MIN_HOLE * outer_area
         if len(ring) >= 4 and not small:
             points = np.empty((number, 2))
             _kernels.find_edge(field, ring, i != outer, points)

@@ -66,15 +66,15 @@ class Patch:
 
     def overlaps(self, other: Patch) -> bool:
         """Whether any pixel belongs to both this patch and another patch."""
-        ends = [np.add(one.corner, one.mask.shape[::-1]) for one in (self, other)]
+        ends = [np.add(patch.corner, patch.mask.shape[::-1]) for patch in (self, other)]
         low, high = np.maximum(self.corner, other.corner), np.minimum(*ends)
         if np.any(high <= low):
             return False
-        own, its = (
-            one.mask[low[1] - y : high[1] - y, low[0] - x : high[0] - x]
-            for one, (x, y) in ((self, self.corner), (other, other.corner))
+        mask, other_mask = (
+            patch.mask[low[1] - y : high[1] - y, low[0] - x : high[0] - x]
+            for patch, (x, y) in ((self, self.corner), (other, other.corner))
         )
-        return bool(np.any(own & its))
+        return bool(np.any(mask & other_mask))
 
     def around(self, margin: int, shape: tuple[int, ...]) -> tuple[slice, slice]:
         """Return the rows and columns of an image (H, W, ...) in the patch's window with a margin
@@ -88,12 +88,12 @@ class Patch:
     def windowed(self, shape: tuple[int, ...]) -> tuple[tuple[slice, slice], np.ndarray]:
         """Return the rows and columns of an image (H, W, ...) in the patch's window with a margin
         of `MARGIN_PX`, and the patch's mask (h, w) uint8 there."""
-        here = rows, columns = self.around(MARGIN_PX, shape)
+        window = rows, columns = self.around(MARGIN_PX, shape)
         mask = np.zeros((rows.stop - rows.start, columns.stop - columns.start), np.uint8)
         (x, y), (height, width) = self.corner, self.mask.shape
         top, left = y - rows.start, x - columns.start
         mask[top : top + height, left : left + width] = self.mask
-        return here, mask
+        return window, mask
 
     @cached_property
     def area_px2(self) -> float:

@@ -74,22 +74,22 @@ def find_outlines(image: np.ndarray) -> np.ndarray:
     found = np.zeros(len(patches), OUTLINE)
     edged = np.ones(len(patches), bool)
     grey = image if image.ndim == 2 else image[:, :, 1]
-    for number, (one, patch) in enumerate(zip(found, patches, strict=True)):
+    for number, (detection, patch) in enumerate(zip(found, patches, strict=True)):
         outline = patch.outline.astype(np.float32)
         hull = cv2.convexHull(outline)
         filled = cv2.contourArea(outline) / max(cv2.contourArea(hull), 1)
         compact = 4 * np.pi * cv2.contourArea(hull) / max(cv2.arcLength(hull, True), 1) ** 2
         # In the original image and in the smaller image, the centre of the first pixel has the
         # coordinate 0. The pixels of both images have different sizes.
-        one["x_px"], one["y_px"] = scale * (patch.centre_px + 0.5) - 0.5
-        one["radius_px"] = np.mean(scale) * patch.radius_px
-        one["round"] = compact > ROUND and filled > ROUND
-        one["angle_rad"] = 0 if one["round"] else _long_side_direction(outline)
+        detection["x_px"], detection["y_px"] = scale * (patch.centre_px + 0.5) - 0.5
+        detection["radius_px"] = np.mean(scale) * patch.radius_px
+        detection["round"] = compact > ROUND and filled > ROUND
+        detection["angle_rad"] = 0 if detection["round"] else _long_side_direction(outline)
         behind = background.grey[patch.place][patch.mask]
-        one["background"] = np.median(behind)
-        one["contrast"] = np.median(grey[patch.place][patch.mask].astype(float) - behind)
-        one["group"] = patch.group
-        one["confidence"] = filled * min(1, abs(one["contrast"]) / SURE)
+        detection["background"] = np.median(behind)
+        detection["contrast"] = np.median(grey[patch.place][patch.mask].astype(float) - behind)
+        detection["group"] = patch.group
+        detection["confidence"] = filled * min(1, abs(detection["contrast"]) / SURE)
         column, row = np.rint(outline).astype(int).T
         edged[number] = filled > FRAYED or np.percentile(slope[row, column], 25) > SOFT
     return found[edged]

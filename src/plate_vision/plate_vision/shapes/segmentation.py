@@ -162,60 +162,64 @@ def segment(
     if min(lab.shape[:2]) < MIN_SIDE_PX:
         return Segments([], None, np.zeros(lab.shape[:2], np.int32), np.zeros(1, bool))
     limit = background.limit
-    away = deviation(lab, background.lab, background.chroma)
-    seen = cv2.compare(away, limit, cv2.CMP_GT)
+    deviations = deviation(lab, background.lab, background.chroma)
+    seen = cv2.compare(deviations, limit, cv2.CMP_GT)
     if region is not None:
         seen[~region.usable] = 0
     if whole is not None:
         seen[~whole] = 0
-    away = cv2.bitwise_and(away, seen)
+    deviations = cv2.bitwise_and(deviations, seen)
     count, labels = cv2.connectedComponents(seen)
     sides = find_sides(lab, background.lab, background.chroma, limit, labels, count)
     cut = np.zeros(count, bool)
     if lamp is None and whole is None:
-        faces = None if rise is None else find_faces(sides, away, labels, rise)
-        lamp = find_lamp(sides, away, labels, faces) if lamps else None
+        faces = None if rise is None else find_faces(sides, deviations, labels, rise)
+        lamp = find_lamp(sides, deviations, labels, faces) if lamps else None
         if lamp is None:
-            cut = remove_shadows(sides, away, labels, background.learned, faces)
+            cut = remove_shadows(sides, deviations, labels, background.learned, faces)
     light = cv2.extractChannel(lab, 0)
     brighter = cv2.compare(light, cv2.extractChannel(background.lab, 0), cv2.CMP_GT)
-    cover = _compute_cover(away, brighter, limit, labels, count)
+    cover = _compute_cover(deviations, brighter, limit, labels, count)
     if lamp is not None:
-        shade = np.minimum(away * np.float32(1 / lamp.level), np.float32(1))
+        shade = np.minimum(deviations * np.float32(1 / lamp.level), np.float32(1))
         np.maximum(cover, shade, out=cover, where=sides.lit)
-    mask = _bridge_colour_steps(cover, away, light)
+    mask = _bridge_colour_steps(cover, deviations, light)
     noise = float(np.median(limit[::NOISE_STEP, ::NOISE_STEP]))
-    patches = _find_patches(mask, cover, away, lab, noise, region)
-    usual = _typical_area(patches)
+    patches = _find_patches(mask, cover, deviations, lab, noise, region)
+    typical_area = _typical_area(patches)
     kept = [
         patch
         for patch in patches
-        if patch.area_px2 >= DUST * usual
-        and not (patch.area_px2 < REMNANT * usual and _is_shadow_remnant(patch, seen, away))
+        if patch.area_px2 >= DUST * typical_area
+        and not (
+            patch.area_px2 < REMNANT * typical_area and _is_shadow_remnant(patch, seen, deviations)
+        )
     ]
     return Segments(kept, lamp, labels, cut)
 
 
 def _compute_cover(
-    away: np.ndarray, brighter: np.ndarray, limit: np.ndarray, labels: np.ndarray, count: int
+    deviations: np.ndarray, brighter: np.ndarray, limit: np.ndarray, labels: np.ndarray, count: int
 ) -> np.ndarray:
     """Return the fraction of each pixel that a part covers, (H, W) float32. The fraction is the
     deviation of the pixel, relative to the deviation of the part around the pixel. The fraction is
     0 outside of parts."""
-    slope = cv2.morphologyEx(away, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8))
+    slope = cv2.morphologyEx(deviations, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8))
     contrast, steepest = np.empty((2, count), np.float32)
     bright = np.empty(count, np.bool_)
-    _kernels.find_contrasts(labels, away, brighter, slope, contrast, steepest, bright)
+    _kernels.find_contrasts(labels, deviations, brighter, slope, contrast, steepest, bright)
     side = 2 * NEAR_PX + 1
-    around = cv2.dilate(away, np.ones((side, side), np.uint8))
-    cover = np.empty(away.shape, np.float32)
+    around = cv2.dilate(deviations, np.ones((side, side), np.uint8))
+    cover = np.empty(deviations.shape, np.float32)
     _kernels.find_cover(
-        away, around, brighter, slope, labels, contrast, steepest, bright, limit, cover
+        deviations, around, brighter, slope, labels, contrast, steepest, bright, limit, cover
     )
     return cover
 
 
-def _bridge_colour_steps(cover: np.ndarray, away: np.ndarray, light: np.ndarray) -> np.ndarray:
+def _bridge_colour_steps(
+    cover: np.ndarray, deviations: np.ndarray, light: np.ndarray
+) -> np.ndarray:
     """Return the pixels (H, W) uint8 of parts.
 
     Between two colours of a part there may be pixels that look like the plate, for example at the
@@ -227,14 +231,14 @@ def _bridge_colour_steps(cover: np.ndarray, away: np.ndarray, light: np.ndarray)
     step = cv2.morphologyEx(light, cv2.MORPH_GRADIENT, narrow)
     near = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, narrow)
     far = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, wide)
-    _kernels.bridge(mask, cover, near, far, step, cv2.dilate(away, wide))
+    _kernels.bridge(mask, cover, near, far, step, cv2.dilate(deviations, wide))
     return np.asarray(mask)
 
 
 def _find_patches(
     mask: np.ndarray,
     cover: np.ndarray,
-    away: np.ndarray,
+    deviations: np.ndarray,
     lab: np.ndarray,
     noise: float,
     region: Region | None,
@@ -242,7 +246,7 @@ def _find_patches(
     """Return the patches of a cover (H, W). `mask` (H, W) is 1 at the pixels of parts."""
     contours, family = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     windows = [
-        _make_window(number, contours, family[0], cover, away)
+        _make_window(number, contours, family[0], cover, deviations)
         for number, contour in enumerate(contours)
         if family[0][number][3] < 0 and len(contour) >= MIN_CONTOUR_PX
     ]
@@ -256,10 +260,10 @@ def _find_patches(
     ]
 
 
-def _is_shadow_remnant(patch: Patch, seen: np.ndarray, away: np.ndarray) -> bool:
+def _is_shadow_remnant(patch: Patch, seen: np.ndarray, deviations: np.ndarray) -> bool:
     """Whether a patch is the rest of a shadow. If so, a shadow was removed around the patch."""
-    here = patch.around(2, seen.shape)
-    taken = np.count_nonzero((seen[here] > 0) & (away[here] == 0))
+    window = patch.around(2, seen.shape)
+    taken = np.count_nonzero((seen[window] > 0) & (deviations[window] == 0))
     return bool(taken > MIN_REMOVED * patch.area_px2)
 
 
@@ -353,16 +357,16 @@ def _make_window(
     contours: Sequence[np.ndarray],
     family: np.ndarray,
     cover: np.ndarray,
-    away: np.ndarray,
+    deviations: np.ndarray,
 ) -> Window:
     """Return the window of one outer contour. Each area that the contour encloses is classified as
     a hole, a gap or a highlight."""
     x, y, w, h = cv2.boundingRect(contours[number])
     x0, y0 = max(x - 1, 0), max(y - 1, 0)
-    here = np.s_[y0 : y + h + 1, x0 : x + w + 1]
-    own, deviation_here = cover[here], away[here]
+    window = np.s_[y0 : y + h + 1, x0 : x + w + 1]
+    cover_here, deviation_here = cover[window], deviations[window]
     offset = (-x0, -y0)
-    inside = np.zeros(own.shape, np.uint8)
+    inside = np.zeros(cover_here.shape, np.uint8)
     cv2.drawContours(inside, contours[number : number + 1], 0, 1, cv2.FILLED, offset=offset)
     holes, gaps, enclosed = (np.zeros_like(inside) for _ in range(3))
     child = family[number][2]
@@ -376,11 +380,11 @@ def _make_window(
             child = family[child][0]
             continue
         part = np.s_[top - y0 : top - y0 + high, left - x0 : left - x0 + wide]
-        one = np.zeros((high, wide), np.uint8)
-        cv2.drawContours(one, [contour], 0, 1, cv2.FILLED, offset=(-left, -top))
-        cv2.drawContours(one, [contour], 0, 0, 1, offset=(-left, -top))
-        enclosed[part] |= one
-        level = deviation_here[part][(one > 0) & (own[part] < HALF)]
+        inner = np.zeros((high, wide), np.uint8)
+        cv2.drawContours(inner, [contour], 0, 1, cv2.FILLED, offset=(-left, -top))
+        cv2.drawContours(inner, [contour], 0, 0, 1, offset=(-left, -top))
+        enclosed[part] |= inner
+        level = deviation_here[part][(inner > 0) & (cover_here[part] < HALF)]
         if len(level) >= MIN_HOLE_PX2 and np.median(level) < HOLE * full:
             area, hull = cv2.contourArea(contour), cv2.contourArea(cv2.convexHull(contour))
             around = 4 * np.pi * area / max(cv2.arcLength(contour, True), 1) ** 2
@@ -390,13 +394,13 @@ def _make_window(
             # hole. The hole looks narrow because the camera sees a high part obliquely.
             if not convex and around <= ROUND and alone is None:
                 alone = traits(inside)[2] > CONVEX
-            (holes if convex or around > ROUND or alone else gaps)[part][one > 0] = 1
+            (holes if convex or around > ROUND or alone else gaps)[part][inner > 0] = 1
         child = family[child][0]
     solid = inside > gaps
     # Inside its contour, a part covers each pixel completely, even if the part has several colours.
-    amount = np.where(solid, np.maximum(own, np.float32(HALF)), own)
+    amount = np.where(solid, np.maximum(cover_here, np.float32(HALF)), cover_here)
     amount[cv2.erode(inside, np.ones((3, 3), np.uint8), borderValue=1) > gaps] = 1
-    true = np.where(holes, own, amount) if np.any(holes) else amount
+    true = np.where(holes, cover_here, amount) if np.any(holes) else amount
     return Window((x0, y0), solid, holes > 0, amount, true, enclosed > 0)
 
 
@@ -404,9 +408,9 @@ def _make_patch(piece: Piece, window: Window, region: Region | None) -> Patch | 
     """Return one patch in its own window. Return None if the patch is thinner than a part."""
     left, top, width, height = cv2.boundingRect(piece.inside.astype(np.uint8))
     x0, y0 = max(left - 1, 0), max(top - 1, 0)
-    here = np.s_[y0 : top + height + 1, x0 : left + width + 1]
-    inside = piece.inside[here].astype(np.uint8)
-    mask = (inside > 0) & ~window.holes[here]
+    box = np.s_[y0 : top + height + 1, x0 : left + width + 1]
+    inside = piece.inside[box].astype(np.uint8)
+    mask = (inside > 0) & ~window.holes[box]
     # If a piece was cut from a patch, it may be only a thin ring around a hole. A thin ring around
     # a hole is not a part. Therefore the thickness of such a piece is measured without the pixels
     # of holes.
@@ -417,12 +421,12 @@ def _make_patch(piece: Piece, window: Window, region: Region | None) -> Patch | 
     # The mask excludes edge pixels of which the part covers less than half. `cover` contains these
     # pixels, unless they belong to other pieces.
     near = cv2.dilate(inside, np.ones((3, 3), np.uint8)) > 0
-    others = window.solid[here] & (inside == 0)
-    cover = np.where(near & ~others, window.cover[here], np.float32(0))
+    others = window.solid[box] & (inside == 0)
+    cover = np.where(near & ~others, window.cover[box], np.float32(0))
     # A patch is complete if its window has a margin of free pixels on each side.
-    whole = not any(np.any(line) for line in (mask[0], mask[:, 0], mask[-1], mask[:, -1]))
+    is_whole = not any(np.any(line) for line in (mask[0], mask[:, 0], mask[-1], mask[:, -1]))
     corner = window.corner[0] + x0, window.corner[1] + y0
-    patch = Patch(mask, corner, cover, whole, piece.group)
+    patch = Patch(mask, corner, cover, is_whole, piece.group)
     if region is not None and not np.all(region.usable[patch.place][near]):
         return replace(patch, whole=False)
     return patch

@@ -200,7 +200,7 @@ def find_sides(
 
 def find_faces(
     sides: Sides,
-    away: np.ndarray,
+    deviations: np.ndarray,
     labels: np.ndarray,
     rise: Callable[[np.ndarray], np.ndarray],
 ) -> np.ndarray:
@@ -221,7 +221,7 @@ def find_faces(
     """
     count = len(sides.total)
     faces = np.zeros(count, bool)
-    bound, *_ = _separate_sides(sides, away, labels)
+    bound, *_ = _separate_sides(sides, deviations, labels)
     rows, columns = np.nonzero((bound > 0)[labels])
     patch = labels[rows, columns]
     for k in np.flatnonzero(bound > 0).tolist():
@@ -230,32 +230,34 @@ def find_faces(
         length = float(np.hypot(dx, dy))
         if length < MIN_PX:
             continue
-        here = np.s_[y.min() : y.max() + 1, x.min() : x.max() + 1]
-        own, light = labels[here] == k, sides.lit[here] & (away[here] < bound[k])
-        top = cv2.morphologyEx((own & light).astype(np.uint8), cv2.MORPH_OPEN, SQUARE)
+        window = np.s_[y.min() : y.max() + 1, x.min() : x.max() + 1]
+        dark, light = labels[window] == k, sides.lit[window] & (deviations[window] < bound[k])
+        top = cv2.morphologyEx((dark & light).astype(np.uint8), cv2.MORPH_OPEN, SQUARE)
         reach = int(np.ceil(length + FACE_SLACK_PX))
         end = np.rint(reach + np.array([dx, dy]) * (1 + FACE_SLACK_PX / length)).astype(int)
         outwards = np.zeros((2 * reach + 1,) * 2, np.uint8)
         cv2.line(outwards, (reach, reach), end.tolist(), 1)
         below = cv2.dilate(cv2.dilate(top, SQUARE), outwards, borderValue=0) > 0
-        faces[k] = np.mean(below[own & (away[here] >= bound[k])]) > FACE
+        faces[k] = np.mean(below[dark & (deviations[window] >= bound[k])]) > FACE
     return faces
 
 
 def _separate_sides(
-    sides: Sides, away: np.ndarray, labels: np.ndarray
+    sides: Sides, deviations: np.ndarray, labels: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return three arrays (count,) with values of each patch. The first array contains the
     deviation that separates the light side of a patch from its dark side, or 0 if the patch has
     only one side. The other two arrays contain the deviations of the light side and of the dark
     side."""
     bound, light, dark = np.empty((3, len(sides.total)), np.float32)
-    _kernels.part_sides(away, sides.lit, sides.slope, sides.steepest, labels, bound, light, dark)
+    _kernels.part_sides(
+        deviations, sides.lit, sides.slope, sides.steepest, labels, bound, light, dark
+    )
     return bound, light, dark
 
 
 def find_lamp(
-    sides: Sides, away: np.ndarray, labels: np.ndarray, faces: np.ndarray | None = None
+    sides: Sides, deviations: np.ndarray, labels: np.ndarray, faces: np.ndarray | None = None
 ) -> Lamp | None:
     """Find the one lamp of an image that casts shadows on the same side of most parts. Return None
     if there is no such lamp.
@@ -280,7 +282,7 @@ def find_lamp(
         large &= ~faces
     min_count = max(MIN_PATCHES, AGREE * np.count_nonzero(large))
     cast = cv2.morphologyEx(sides.lit.view(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
-    places = cv2.findNonZero((away > 0).view(np.uint8))
+    places = cv2.findNonZero((deviations > 0).view(np.uint8))
     if places is None:
         return None
     columns, rows = places.reshape(-1, 2).T
@@ -291,8 +293,8 @@ def find_lamp(
         return None
     grey = np.bincount(patch[own], minlength=count) < MIN_PART * sides.total
     # If a part and its shadow differ only in brightness, the darker side of the patch is the part.
-    bound, *_ = _separate_sides(sides, away, labels)
-    darker = (grey & (bound > 0))[patch] & (away[rows, columns] > bound[patch])
+    bound, *_ = _separate_sides(sides, deviations, labels)
+    darker = (grey & (bound > 0))[patch] & (deviations[rows, columns] > bound[patch])
     own |= darker
     shaded &= ~darker
     shade, body = (
@@ -304,11 +306,11 @@ def find_lamp(
     clear &= body > MIN_PART * sides.total
     if np.count_nonzero(clear) < min_count:
         return None
-    at = np.stack([columns, rows]).astype(float)
+    pixels = np.stack([columns, rows]).astype(float)
     middles = [
-        np.stack([np.bincount(patch[which], line[which], count) for line in at], axis=1)
+        np.stack([np.bincount(patch[members], line[members], count) for line in pixels], axis=1)
         / np.maximum(number, 1)[:, None]
-        for which, number in ((shaded, shade), (own, body))
+        for members, number in ((shaded, shade), (own, body))
     ]
     direction = (middles[0] - middles[1])[clear]
     direction /= np.maximum(np.hypot(*direction.T), 1e-9)[:, None]
@@ -316,35 +318,35 @@ def find_lamp(
     number = np.count_nonzero(alike, axis=1)
     if np.max(number) < max(min_count, OF_ONE_LAMP * len(direction)):
         return None
-    one = alike[np.argmax(number)]
-    clear[clear] = one
-    mean = np.mean(direction[one], axis=0)
+    group = alike[np.argmax(number)]
+    clear[clear] = group
+    mean = np.mean(direction[group], axis=0)
     if np.hypot(*mean) < ONE_LAMP:
         return None
     unit = mean / np.hypot(*mean)
-    along = unit @ at
-    level = float(np.median(away[rows, columns][shaded]))
+    along = unit @ pixels
+    level = float(np.median(deviations[rows, columns][shaded]))
     reach, part = np.full((2, count), -np.inf)
-    dark = own | (away[rows, columns] > 0.5 * level)
+    dark = own | (deviations[rows, columns] > 0.5 * level)
     np.maximum.at(reach, patch[dark], along[dark])
     np.maximum.at(part, patch[own], along[own])
     length = reach[clear] - part[clear]
-    usual = float(np.median(length))
-    spread = float(np.median(np.abs(length - usual)))
-    if usual < MIN_PX or spread > SPREAD * usual or level < MIN_SHADE:
+    typical_length = float(np.median(length))
+    spread = float(np.median(np.abs(length - typical_length)))
+    if typical_length < MIN_PX or spread > SPREAD * typical_length or level < MIN_SHADE:
         return None
-    return Lamp(level, usual * unit, 1.5 * spread)
+    return Lamp(level, typical_length * unit, 1.5 * spread)
 
 
 def remove_shadows(
     sides: Sides,
-    away: np.ndarray,
+    deviations: np.ndarray,
     labels: np.ndarray,
     plate_known: bool = False,
     faces: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Set `away` to 0 where an image deviates from the background because of a shadow. Return for
-    each patch (count,) bool whether any of its pixels were removed as shadow.
+    """Set `deviations` to 0 where an image deviates from the background because of a shadow. Return
+    for each patch (count,) bool whether any of its pixels were removed as shadow.
 
     Parameters
     ----------
@@ -362,7 +364,9 @@ def remove_shadows(
     """
     like, lit, slope, steepest, largest, total, balance = sides
     count = len(total)
-    _clear_shadows_of_bright_parts(away, like, labels, (balance > 0) & (total >= MIN_AREA_PX2))
+    _clear_shadows_of_bright_parts(
+        deviations, like, labels, (balance > 0) & (total >= MIN_AREA_PX2)
+    )
     width = largest / np.maximum(steepest, 1)
     large = np.flatnonzero((total >= MIN_AREA_PX2) & (steepest > 0))
     cut = np.zeros(count, bool)
@@ -371,23 +375,23 @@ def remove_shadows(
     sharp = float(np.percentile(width[large], SHARP_PERCENT))
     if plate_known:
         sharp = max(sharp, _part_width(width, largest, total, balance, large))
-    bound, light, dark = _separate_sides(sides, away, labels)
+    bound, light, dark = _separate_sides(sides, deviations, labels)
     if faces is not None:
         bound[faces] = 0
     if np.any(bound > 0):
-        around = cv2.dilate(away, np.ones((5, 5), np.uint8))
+        around = cv2.dilate(deviations, np.ones((5, 5), np.uint8))
         fade, direction = np.empty(count, np.float32), np.zeros((count, 2))
-        _kernels.find_fade(away, around, lit, slope, labels, bound, light, fade, direction)
+        _kernels.find_fade(deviations, around, lit, slope, labels, bound, light, fade, direction)
         softness = np.where(fade > 0, light / np.maximum(sharp * fade, 1e-3), 0)
         bound = _shadow_limits(bound, light, dark, softness, direction, len(large))
-        light_side = (lit & (away < bound[labels])).astype(np.uint8)
+        light_side = (lit & (deviations < bound[labels])).astype(np.uint8)
         shadow = cv2.morphologyEx(light_side, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0
-        if np.any(shadow) and _are_parts_wide(shadow, (away > 0) & ~shadow, labels):
-            away[shadow] = 0
+        if np.any(shadow) and _are_parts_wide(shadow, (deviations > 0) & ~shadow, labels):
+            deviations[shadow] = 0
             cut[labels[shadow]] = True
     alone = (width > min(SEPARATE_EDGE * sharp, WIDE_PX)) & (balance < -MOSTLY * total)
     if np.any(alone[large]):
-        away[alone[labels]] = 0
+        deviations[alone[labels]] = 0
     return cut & ~alone
 
 
@@ -404,8 +408,8 @@ def _part_width(
     A high percentile is used because motion may blur the image in one direction. Edges across this
     direction have the maximum width. Faint patches are ignored.
     """
-    usual = np.sort(largest[large])[3 * len(large) // 4]
-    clear = large[largest[large] >= CLEAR_EDGE * usual]
+    typical_width = np.sort(largest[large])[3 * len(large) // 4]
+    clear = large[largest[large] >= CLEAR_EDGE * typical_width]
     parts = clear[balance[clear] >= -MOSTLY * total[clear]]
     if len(parts) >= MIN_PATCHES:
         return float(np.sort(width[parts])[WIDE_PERCENT * len(parts) // 100])
@@ -413,7 +417,7 @@ def _part_width(
 
 
 def _clear_shadows_of_bright_parts(
-    away: np.ndarray, like: np.ndarray, labels: np.ndarray, bright: np.ndarray
+    deviations: np.ndarray, like: np.ndarray, labels: np.ndarray, bright: np.ndarray
 ) -> None:
     """Set the deviation to 0 in the shadows of parts that are brighter than the plate. These
     shadows are the pixels that look like a darker plate and are connected with the plate."""
@@ -425,7 +429,7 @@ def _clear_shadows_of_bright_parts(
     count, places = cv2.connectedComponents(shadow | plate)
     reached = np.zeros(count, bool)
     reached[places[plate > 0]] = True
-    away[(shadow > 0) & reached[places]] = 0
+    deviations[(shadow > 0) & reached[places]] = 0
 
 
 def _are_parts_wide(shadow: np.ndarray, parts: np.ndarray, labels: np.ndarray) -> bool:
@@ -456,8 +460,8 @@ def _shadow_limits(
     seen = (bound > 0) & (softness > 0)
     if np.count_nonzero(seen) >= max(AGREE * patches, MIN_PATCHES):
         aligned = float(np.hypot(*np.mean(direction[seen], axis=0)))
-        usual = float(np.median(softness[seen]))
-        if usual > (SOFT[1] if aligned > ALIGNED else SOFT[0]):
+        typical_softness = float(np.median(softness[seen]))
+        if typical_softness > (SOFT[1] if aligned > ALIGNED else SOFT[0]):
             depth = float(np.median(light[seen]))
             alike = (bound > 0) & (np.abs(light / depth - 1) < DEPTHS)
             return np.where(alike, bound, np.where(depth < LIGHTER * dark, 0.5 * (depth + dark), 0))

@@ -63,8 +63,8 @@ def split_patch(cover: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, int, n
     depth = np.where(outer > 0, inner + 0.02 * outer, 0).astype(np.float32) / ZOOM
     labels = np.zeros(depth.shape, np.int32)
     count, necks = _kernels.find_basins(depth, NECK, MIN_DROP_PX, LEVELS_PX, labels)
-    own = labels[ZOOM // 2 :: ZOOM, ZOOM // 2 :: ZOOM][1:-1, 1:-1]
-    return np.ascontiguousarray(own), count, necks
+    unzoomed = labels[ZOOM // 2 :: ZOOM, ZOOM // 2 :: ZOOM][1:-1, 1:-1]
+    return np.ascontiguousarray(unzoomed), count, necks
 
 
 def _add_frame(image: np.ndarray) -> np.ndarray:

@@ -235,15 +235,26 @@ def learn_type(
     if not shown:
         raise TeachError(unused[0])
     if height > 0:
-        bases = footprints([one.outline for one in shown], calibration, height)
-        shown = [replace(one, outline=base) for one, base in zip(shown, bases, strict=True)]
-    scale = float(np.median(calibration.scale(np.array([one.outline.centre for one in shown]))))
+        bases = footprints([shown_example.outline for shown_example in shown], calibration, height)
+        shown = [
+            replace(shown_example, outline=base)
+            for shown_example, base in zip(shown, bases, strict=True)
+        ]
+    scale = float(
+        np.median(
+            calibration.scale(np.array([shown_example.outline.centre for shown_example in shown]))
+        )
+    )
     shown = _select_agreeing(name, shown, scale, unused)
-    outlines = [one.outline for one in shown]
+    outlines = [shown_example.outline for shown_example in shown]
     mean, pose, deviation, unlike = _mean_outline(outlines, scale)
     coloured = any(example.image.ndim == 3 for example in examples)
     part = _simplify_type(name, mean, scale, unlike)
-    colour = np.mean([one.colour for one in shown], axis=0) * (1.0, coloured, coloured)
+    colour = np.mean([shown_example.colour for shown_example in shown], axis=0) * (
+        1.0,
+        coloured,
+        coloured,
+    )
     part = replace(
         part,
         colour_lab=(float(colour[0]), float(colour[1]), float(colour[2])),
@@ -327,8 +338,8 @@ def type_differences(a: PartType, b: PartType, scale: float) -> tuple[float, flo
     the outlines after one outline has grown evenly [px at `scale` px/m]. The second difference is
     the growth of this outline [px]. The third difference is the distance between the colours in
     Lab, or 0 if a colour is unknown."""
-    one, other = make_template(a), make_template(b)
-    fit = fit_template(one, other.outline, scale)
+    first, second = make_template(a), make_template(b)
+    fit = fit_template(first, second.outline, scale)
     gap = 0.0
     if a.colour_lab is not None and b.colour_lab is not None:
         gap = float(colour_distance(np.array(a.colour_lab), np.array(b.colour_lab), True))
@@ -338,9 +349,9 @@ def type_differences(a: PartType, b: PartType, scale: float) -> tuple[float, flo
 def merge_types(a: PartType, b: PartType) -> PartType:
     """Return the mean of two types that are one type in reality. The mean has the name, mass and
     friction of the first type."""
-    one, other = make_template(a), make_template(b)
+    first, second = make_template(a), make_template(b)
     scale = 1 / (0.02 * a.reach_m)
-    mean, _, deviation, _ = _mean_outline([one.outline, other.outline], scale)
+    mean, _, deviation, _ = _mean_outline([first.outline, second.outline], scale)
     part = _simplify_type(a.name, mean, scale)
     colour = a.colour_lab or b.colour_lab
     if a.colour_lab is not None and b.colour_lab is not None:
@@ -411,15 +422,17 @@ def _recognition_warnings(
     """Return warnings about reasons why a type may be difficult to recognise: blurred examples, or
     examples with different colours."""
     blurs: dict[str, float] = {}
-    for one in shown:
-        blurs[one.example.name] = max(one.blur, blurs.get(one.example.name, 0.0))
+    for shown_example in shown:
+        blurs[shown_example.example.name] = max(
+            shown_example.blur, blurs.get(shown_example.example.name, 0.0)
+        )
     warnings = [
         f"type {name}: {picture}: blur of the contours is {blur:.1f} times the maximum, so sizes "
         "and angles are less accurate; focus the camera, and keep it and the parts at rest"
         for picture, blur in blurs.items()
         if blur > 1
     ]
-    colours = np.array([one.colour for one in shown])
+    colours = np.array([shown_example.colour for shown_example in shown])
     furthest = float(colour_distance(colours, colour, coloured).max())
     if furthest > COLOUR_LAB:
         warnings.append(
@@ -482,28 +495,33 @@ def _select_agreeing(
         If less than the fraction `MIN_ALIKE_FRACTION` of the parts agree.
     """
     # The part with the median size is the reference.
-    middle = sorted(shown, key=lambda one: one.outline.filled.area)[len(shown) // 2].outline
+    middle = sorted(shown, key=lambda shown_example: shown_example.outline.filled.area)[
+        len(shown) // 2
+    ].outline
     template = _as_template(_shift_outline(middle, middle.centre))
     kept, problems = [], []
-    for one in shown:
-        start = f"type {name}: examples differ: in {one.example.name}"
-        if len(one.outline.rings) != len(middle.rings):
+    for shown_example in shown:
+        start = f"type {name}: examples differ: in {shown_example.example.name}"
+        if len(shown_example.outline.rings) != len(middle.rings):
             problems.append(
-                f"{start} there are {len(one.outline.rings) - 1} holes, but "
+                f"{start} there are {len(shown_example.outline.rings) - 1} holes, but "
                 f"{len(middle.rings) - 1} in another example, allowed: the same number in all"
             )
             continue
-        fit = fit_template(template, one.outline, scale)
-        for what, error, fraction in (("outline", fit[4], DIFFER), ("size", fit[3], DIFFER_SIZE)):
+        fit = fit_template(template, shown_example.outline, scale)
+        for property_name, error, fraction in (
+            ("outline", fit[4], DIFFER),
+            ("size", fit[3], DIFFER_SIZE),
+        ):
             max_error = max(fraction * middle.reach, DIFFER_PX / scale)
             if abs(error) > max_error:
                 problems.append(
-                    f"{start} the {what} differs by {scale * abs(error):.1f} px, allowed: "
+                    f"{start} the {property_name} differs by {scale * abs(error):.1f} px, allowed: "
                     f"{scale * max_error:.1f} px"
                 )
                 break
         else:
-            kept.append(one)
+            kept.append(shown_example)
     if len(kept) < MIN_ALIKE_FRACTION * len(shown):
         raise TeachError(problems[0])
     unused += problems

@@ -101,8 +101,8 @@ def assign(
     drift = _drift_gain(tracks, stamp, seen, gate)
     choices = [_solve_assignment(drift + other)]
     if expected is not None:
-        usual, poor = _prediction_gains(tracks, stamp, seen, gate, expected, drift)
-        rows, columns, gain = _solve_assignment(usual + other)
+        expected_gain, poor = _prediction_gains(tracks, stamp, seen, gate, expected, drift)
+        rows, columns, gain = _solve_assignment(expected_gain + other)
         # The gain of the assignment with usual prediction errors is increased, because large errors
         # of the predictions are rare.
         choices = [
@@ -130,7 +130,7 @@ def _class_gain(tracks: Sequence[Track], seen: Sequence[Detection]) -> np.ndarra
     The gain is log(P(class)) + log(shown / (1 - shown)) - log(density of false detections), where
     `shown` is the probability that the part exists and is detected.
     """
-    labels = [one.label for one in seen]
+    labels = [detection.label for detection in seen]
     among = [*dict.fromkeys(labels)]
     likely = np.log([[track.likely(label) for label in among] for track in tracks])
     exists = np.array([1.0 if track.number else NEW_RATE for track in tracks])
@@ -145,15 +145,17 @@ def _angle_gain(
     """Return the log likelihood gain from the angles (T, M). The angles of false detections are
     assumed to be uniformly distributed."""
     unsure = np.array([track.quality[1] for track in tracks])
-    angle_sd = np.array([one.quality[1] if one.symmetry else math.nan for one in seen])
+    angle_sd = np.array(
+        [detection.quality[1] if detection.symmetry else math.nan for detection in seen]
+    )
     known = (unsure < VAGUE_RAD)[:, None] & (angle_sd < VAGUE_RAD)
     if not np.any(known):
         return 0.0
     angle = np.array([track.angle_at(stamp) for track in tracks])
     images = np.array([1 + track.missed for track in tracks])
     deviation = np.sqrt(((ANGLE_SD_RAD * images) ** 2 + unsure**2)[:, None] + angle_sd**2)
-    period = math.tau / np.array([max(one.symmetry, 1) for one in seen])
-    gap = np.array([one.angle for one in seen]) - angle[:, None]
+    period = math.tau / np.array([max(detection.symmetry, 1) for detection in seen])
+    gap = np.array([detection.angle for detection in seen]) - angle[:, None]
     gap -= period * np.round(gap / period)
     normal = period / (math.sqrt(math.tau) * deviation) * np.exp(-0.5 * (gap / deviation) ** 2)
     return np.where(known, np.log((1 - ANY_ANGLE_FRACTION) * normal + ANY_ANGLE_FRACTION), 0.0)
@@ -204,8 +206,8 @@ def _prediction_gains(
     pushed, rate = np.hypot(PUSHED_M * images, wide), PUSHED_RATE + TURNED_RATE * beyond
     gains = []
     for deviation in (PREDICTED_M, POOR_M):
-        usual = np.sqrt((deviation * images) ** 2 + more)
-        near = _log_density(square, usual, pushed, rate)
+        deviation_usual = np.sqrt((deviation * images) ** 2 + more)
+        near = _log_density(square, deviation_usual, pushed, rate)
         gain = drift.copy()
         gain[rows] = np.where(square <= (gate * images) ** 2, near, -np.inf)
         gains.append(gain)
@@ -214,7 +216,7 @@ def _prediction_gains(
 
 def _squared_distances(place: np.ndarray, seen: Sequence[Detection]) -> np.ndarray:
     """Return the squared distances (T, M) [m2] between places (T, 2) [m] and detections."""
-    gap = place[:, None] - np.array([one.position for one in seen])
+    gap = place[:, None] - np.array([detection.position for detection in seen])
     return np.asarray(np.sum(gap**2, axis=2))
 
 
