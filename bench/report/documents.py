@@ -50,7 +50,7 @@ def block_text(name: str, item: Mapping[str, Any], key: str, facts: Data, commit
     """Return the text of a table, or of the sentences."""
     if key == "summary":
         return "".join(f"- {line}\n" for line in item["summary"])
-    table = next(each for each in item["tables"] if each["key"] == key)
+    table = next(candidate for candidate in item["tables"] if candidate["key"] == key)
     frame = pd.DataFrame(table["rows"], columns=list(table["columns"])).rename(
         columns=table["columns"]
     )

@@ -302,7 +302,7 @@ class Panel:
     @property
     def names(self) -> list[str]:
         """Entries of the key."""
-        return [each.name for each in [*self.all, *self.rules] if each.name]
+        return [trace.name for trace in [*self.all, *self.rules] if trace.name]
 
     @property
     def all(self) -> list[Any]:

@@ -75,9 +75,9 @@ def integrate_with_scipy(cells: tuple[int, int], method: str, tolerance: float) 
     """Integrate the equations of motion with scipy, with friction by midpoints of cells of equal
     area. Return the final pose (3,) [m, m, rad]."""
     cycle = exact_cycle(GAMMA, SPIN)
-    rings, each = cells
+    rings, per_ring = cells
     ring = RADIUS * np.sqrt((np.arange(rings) + 0.5) / rings)
-    angle = 2 * np.pi * (np.arange(each) + 0.5) / each
+    angle = 2 * np.pi * (np.arange(per_ring) + 0.5) / per_ring
     x, y = np.outer(ring, np.cos(angle)).ravel(), np.outer(ring, np.sin(angle)).ravel()
 
     def state_derivative(t: float, state: np.ndarray) -> list[float]:

@@ -105,12 +105,12 @@ class Plate:
 
 def messages_between(messages: Iterable[Received], since: float, until: float) -> list[Received]:
     """Return the messages between two times [s, monotonic]."""
-    return [each for each in messages if since < each.at < until]
+    return [message for message in messages if since < message.at < until]
 
 
 def last_message_before(messages: Iterable[Received], when: float) -> Received:
     """Return the last message up to a time [s, monotonic], or an empty message."""
-    return [Received(0.0, 0, ""), *(each for each in messages if each.at <= when)][-1]
+    return [Received(0.0, 0, ""), *(message for message in messages if message.at <= when)][-1]
 
 
 WORK_S, UNASKED_S = 3.0, 3.0

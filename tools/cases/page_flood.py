@@ -80,7 +80,9 @@ class Verdict:
 
 def random_command(rng: random.Random) -> dict[str, Any]:
     """Return a random command except the stops. Most of these commands are valid."""
-    name = rng.choice([each for each in COMMANDS if each not in URGENT] + ["parameters", "set"] * 4)
+    name = rng.choice(
+        [command for command in COMMANDS if command not in URGENT] + ["parameters", "set"] * 4
+    )
     node, part = rng.choice(NODES), f"{rng.choice(['black', 'grey'])}_{rng.randrange(6)}"
     x, y = rng.uniform(-0.12, 0.12), rng.uniform(-0.12, 0.12)
     values: dict[str, dict[str, Any]] = {

@@ -541,7 +541,7 @@ def run_feeding_robot(plan: Plan, observer: Observer, grips: list[Grip]) -> None
     with Robot(observer, port, plan.args.robot_cycle, grips) as robot:
         for grip in robot.work(picks):
             text = (
-                f"{sum(each.taken for each in grips)} of {picks} parts taken, the last "
+                f"{sum(taken_grip.taken for taken_grip in grips)} of {picks} parts taken, the last "
                 f"{1e3 * grip.error_m:.2f} mm from the reported place"
             )
             line.show(text)

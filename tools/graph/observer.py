@@ -455,7 +455,7 @@ class Observer:
         if now.current_state.label == AFTER.get(transition):
             return
         reports, now = self.record.diagnostics, time.monotonic()
-        self.until(lambda: any(each.at > now for each in reports.get(node, ())), FRESH_S)
+        self.until(lambda: any(report.at > now for report in reports.get(node, ())), FRESH_S)
         reported = reports[node][-1].text if node in reports else "nothing"
         raise GraphError(f"{transition} refused, {node} reports: {reported}")
 

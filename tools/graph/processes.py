@@ -62,8 +62,8 @@ def signals_raise() -> Iterator[None]:
     """
 
     def on_signal(number: int, frame: object) -> None:
-        for each in ENDING:
-            signal.signal(each, signal.SIG_IGN)
+        for signal_number in ENDING:
+            signal.signal(signal_number, signal.SIG_IGN)
         raise Interrupted(number)
 
     before = {number: signal.signal(number, on_signal) for number in ENDING}

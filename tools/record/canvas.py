@@ -82,7 +82,7 @@ class Canvas:
     ) -> None:
         """Draw a polygon (n, 2) [m] with holes and an edge. If `face` is None, draw only the
         edge."""
-        contours = [self._to_px(each) for each in (corner, *holes)]
+        contours = [self._to_px(ring) for ring in (corner, *holes)]
         if face is not None:
             cv2.fillPoly(self.pixels, contours, face, cv2.LINE_AA, SHIFT)
         cv2.polylines(self.pixels, contours, True, edge, self._line_width(1.5), cv2.LINE_AA, SHIFT)

@@ -121,7 +121,7 @@ def task_lines(rig: Rig, scenario: Scenario) -> tuple[list[str], bool]:
     except PlateError as error:
         return [f"{scenario.name}: impossible: {error}"], False
     likely, count = verdict.likely, len(verdict.rehearsals)
-    times = ", ".join(_time_text(each.time_s) for each in verdict.rehearsals)
+    times = ", ".join(_time_text(rehearsal.time_s) for rehearsal in verdict.rehearsals)
     requested = ""
     if isinstance(scenario.task, FollowTask):
         requested = f", requested: {1e3 * max(path.speed for path in scenario.task.paths):.0f} mm/s"
@@ -132,7 +132,7 @@ def task_lines(rig: Rig, scenario: Scenario) -> tuple[list[str], bool]:
         f"average{requested}",
         _used_limits_text(verdict),
     ]
-    if any(each.lost for each in verdict.rehearsals):
+    if any(rehearsal.lost for rehearsal in verdict.rehearsals):
         lines.append("a part leaves the plate: move starts and goals away from the edges")
     lines += [f"warning: {warning}" for warning in edge_warnings(scenario, rig)]
     if not likely:
@@ -196,7 +196,7 @@ def advice_for(rig: Rig, verdict: Verdict) -> str:
     advice = f"the most used limit is {binds} ({KEYS[binds]}); fewer parts may help"
     if rig.gamma < MIN_GAMMA:
         advice = f"{weak_plate_text(rig)}, or fewer parts"
-    if np.isfinite(verdict.time_s) and not any(each.lost for each in verdict.rehearsals):
+    if np.isfinite(verdict.time_s) and not any(rehearsal.lost for rehearsal in verdict.rehearsals):
         advice += f"; or a time_limit_s of {1.2 * verdict.time_s:.0f} s"
     return advice
 

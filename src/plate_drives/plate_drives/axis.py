@@ -76,12 +76,12 @@ def ignore_signals() -> Iterator[None]:
     """Ignore SIGINT, SIGTERM and SIGHUP in the context. The code that disables drives therefore
     cannot be interrupted by these signals."""
     signals = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    before = [signal.signal(each, signal.SIG_IGN) for each in signals]
+    before = [signal.signal(number, signal.SIG_IGN) for number in signals]
     try:
         yield
     finally:
-        for each, handler in zip(signals, before, strict=True):
-            signal.signal(each, handler)
+        for number, handler in zip(signals, before, strict=True):
+            signal.signal(number, handler)
 
 
 def switch_off(master: Master, motor: int, node: int) -> None:

@@ -315,8 +315,8 @@ def main() -> None:
         "--check", action="store_true", help="only read the drives and compare them"
     )
     args = parser.parse_args()
-    for each in (signal.SIGTERM, signal.SIGHUP):
-        signal.signal(each, signal.default_int_handler)
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.default_int_handler)
     try:
         path = rig_path(args.rig)
         drives_of(load_rig(path))  # check the drives before a bus is opened

@@ -380,8 +380,10 @@ class Feeder:
         that is reserved for this client remains reserved, but no longer for a client."""
         self.cancel(client)
         self._reserved, self._late = (
-            replace(each, client=None) if each is not None and each.client == client else each
-            for each in (self._reserved, self._late)
+            replace(request, client=None)
+            if request is not None and request.client == client
+            else request
+            for request in (self._reserved, self._late)
         )
 
     # Outputs
@@ -464,7 +466,7 @@ class Feeder:
     ) -> _Request | Reply:
         """Convert the arguments of a command to a request. If an argument is invalid, return a
         reply with the error instead."""
-        labels = [each.label for each in self.task.picks]
+        labels = [allowed_pick.label for allowed_pick in self.task.picks]
         problem = _time_problem(timeout_s)
         if pick is not None:
             label, pick = label or pick.label, replace(pick, label=pick.label or label)
@@ -664,7 +666,7 @@ class Feeder:
     def _count_on_plate(self, label: str) -> int:
         seen = {} if self._status is None else self._status.seen
         labels = [label] if label else [pick.label for pick in self.task.picks]
-        return sum(seen.get(each, 0) for each in labels)
+        return sum(seen.get(class_name, 0) for class_name in labels)
 
     # Orders
 

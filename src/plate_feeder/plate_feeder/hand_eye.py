@@ -106,8 +106,8 @@ def load_hand_eye(path: str | Path) -> HandEye:
     children = fields.children("points")
     plate = [child.value(POINT["plate_m"]) for child in children]
     robot = [child.value(POINT["robot_m"]) for child in children]
-    for each in (*children, fields):
-        each.finish()
+    for section in (*children, fields):
+        section.finish()
     try:
         return fit_hand_eye(frame, np.reshape(plate, (-1, 2)), np.reshape(robot, (-1, 2)))
     except HandEyeError as error:

@@ -284,7 +284,7 @@ class FeederNode(SafeLifecycleNode[Options]):
                 ReadyPart(part.id, part.x, part.y, part.angle, tuple(part.covariance.tolist()))
                 for part in msg.ready
             ),
-            seen={each.type: each.count for each in msg.seen},
+            seen={seen_class.type: seen_class.count for seen_class in msg.seen},
             discharged=msg.discharged,
             lost=msg.lost,
         )

@@ -204,7 +204,7 @@ class PlateVectorEnv(VectorEnv):
             raise PlateError(f"actions are {text}, allowed: {self.num_envs} (one per plate)")
         if not isinstance(actions, np.ndarray):
             actions = iterate(self.action_space, actions)
-        each = checked_actions(self.single_action_space, actions)
+        plate_actions = checked_actions(self.single_action_space, actions)
         restarted, rows = (np.flatnonzero(m).tolist() for m in (self._ended, ~self._ended))
         info: dict[str, Any] = {}
         reward = np.zeros(self.num_envs)
@@ -213,7 +213,7 @@ class PlateVectorEnv(VectorEnv):
             worlds = [drawn(self._rngs[k]) for k in restarted]
             info = self._for_all_plates(self.plates.reset(restarted, worlds), self._ended)
         if len(rows):
-            step = self.plates.step(rows, [each[row] for row in rows])
+            step = self.plates.step(rows, [plate_actions[row] for row in rows])
             reward[rows], ended[rows], over[rows] = step.reward, step.ended, step.over
             info = self._for_all_plates(step.info, ~self._ended, info)
         self._ended = ended | over

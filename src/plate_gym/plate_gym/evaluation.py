@@ -319,8 +319,8 @@ def _evaluate_feeding(rules: Feeder, memories: list[Memory]) -> Score:
     zero = np.zeros((len(memories), rows_of(rules.task)))
     never = np.zeros(len(memories), bool)
     fed = [memory for memory in memories if isinstance(memory, Feeding)]
-    picks = np.array([each.made.picks for each in fed])
-    over = np.array([each.time >= FEED_S - ROUNDING_S for each in fed])
+    picks = np.array([progress.made.picks for progress in fed])
+    over = np.array([progress.time >= FEED_S - ROUNDING_S for progress in fed])
     enough = picks >= ENOUGH * MAX_PICKS
     return Score(zero, zero, picks[:, None], MAX_PICKS - picks, over & enough, never)
 

@@ -432,7 +432,7 @@ class Plates:
         if not self.evaluator.feeds:
             info["to_go_m"] = score.to_go
         infos = [self.evaluator.agent_info(p.memory) for p in plates]
-        info |= {name: np.array([each[name] for each in infos]) for name in infos[0]}
+        info |= {name: np.array([plate_info[name] for plate_info in infos]) for name in infos[0]}
         if self.action == "cycle":
             running = np.empty(len(plates), object)
             running[:] = [p.running for p in plates]

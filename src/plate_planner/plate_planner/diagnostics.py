@@ -58,8 +58,10 @@ class PlannerDiagnostics:
         level = result.level
         if run.task.phase.is_failure:
             failure = Level.ERROR if run.failed else Level.WARN
-            level = max(level, failure, key=lambda each: each.rank)
-        new = [each for each in findings if each is not None and each.message not in run.task.text]
+            level = max(level, failure, key=lambda found: found.rank)
+        new = [
+            found for found in findings if found is not None and found.message not in run.task.text
+        ]
         return Finding(level, "; ".join(filter(None, (run.task.text, worst(new, "").message))))
 
     def values(self, now: float) -> dict[str, str]:

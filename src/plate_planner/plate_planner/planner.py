@@ -389,11 +389,12 @@ class Planner:
         missing = [name not in seen.ids for name in parts.ids]
         if classes is not None:
             missing = [
-                hidden and each in classes for hidden, each in zip(missing, label, strict=True)
+                hidden and class_name in classes
+                for hidden, class_name in zip(missing, label, strict=True)
             ]
         if not any(missing):
             return parts
-        reach = np.array([self.rig.part_type(each).reach_m for each in label])
+        reach = np.array([self.rig.part_type(class_name).reach_m for class_name in label])
         distance = np.hypot(*(parts.position[:, None] - seen.position[None]).transpose(2, 0, 1))
         double = np.array(missing) & np.any(distance < reach[:, None], axis=1)
         return parts.take(np.flatnonzero(~double)) if np.any(double) else parts

@@ -144,15 +144,15 @@ def _read_list(where: str, value: Any, min_count: int, max_count: int) -> list[A
 
 def _read_targets(where: str, value: Any) -> list[dict[str, Any]]:
     targets = []
-    for each in _read_list(where, value, 1, MAX_PARTS):
-        if not isinstance(each, dict) or not each.keys() <= {"id", "x", "y", "angle"}:
-            raise _value_error(where, each, "id, x, y and angle")
-        angle = each.get("angle")
+    for item in _read_list(where, value, 1, MAX_PARTS):
+        if not isinstance(item, dict) or not item.keys() <= {"id", "x", "y", "angle"}:
+            raise _value_error(where, item, "id, x, y and angle")
+        angle = item.get("angle")
         targets.append(
             {
-                "id": _read_text(where, each.get("id")),
-                "x": _read_number(where, each.get("x")),
-                "y": _read_number(where, each.get("y")),
+                "id": _read_text(where, item.get("id")),
+                "x": _read_number(where, item.get("x")),
+                "y": _read_number(where, item.get("y")),
                 "angle": math.nan if angle is None else _read_number(where, angle),
             }
         )
@@ -161,8 +161,8 @@ def _read_targets(where: str, value: Any) -> list[dict[str, Any]]:
 
 def _read_points(where: str, value: Any) -> list[tuple[float, float]]:
     points = []
-    for each in _read_list(where, value, 2, MAX_POINTS):
-        x, y = _read_list(where, each, 2, 2)
+    for item in _read_list(where, value, 2, MAX_POINTS):
+        x, y = _read_list(where, item, 2, 2)
         points.append((_read_number(where, x), _read_number(where, y)))
     return points
 

@@ -122,7 +122,7 @@ class Socket(tornado.websocket.WebSocketHandler):
             raise tornado.web.HTTPError(403)
         if self.role is None:
             raise tornado.web.HTTPError(401)
-        roles = [each.role for each in self.page.browsers]
+        roles = [browser.role for browser in self.page.browsers]
         viewer = self.role is Role.VIEWER
         if len(roles) >= MAX_BROWSERS or (viewer and roles.count(self.role) >= MAX_VIEWERS):
             raise tornado.web.HTTPError(503)
@@ -355,8 +355,8 @@ class PageServer:
         """Stop serving."""
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._thread.join(2.0)
-        for each in self._sockets:
-            each.close()
+        for listener in self._sockets:
+            listener.close()
 
     def _send_answer(self, browser: Socket, number: int, ok: bool, text: str) -> None:
         browser.open_commands -= 1
@@ -405,12 +405,12 @@ class PageServer:
 
 def _bind_sockets(address: str, port: int) -> tuple[list[Any], int]:
     """Return listening sockets on the first free port, and the number of this port."""
-    for each in range(port, port + NEW_PORTS):
+    for number in range(port, port + NEW_PORTS):
         try:
             family = socket.AF_INET6 if ":" in address else socket.AF_INET
-            door = socket.create_server((address, each), family=family)
-            door.setblocking(False)
-            return [door], each
+            listener = socket.create_server((address, number), family=family)
+            listener.setblocking(False)
+            return [listener], number
         except OSError as error:
             problem = error
     raise PlateError(

@@ -202,7 +202,7 @@ def edge_blur_px(image: np.ndarray, outline: Outline, field: AimField) -> float:
         offset = edge_offset[edge, :, None] + steps / field.grid.scale[edge]
         point = foot[edge, :, None] + offset[..., None] * OUTWARD[edge]
         x, y = calibration.to_image(point.reshape(-1, 2)).reshape(*offset.shape, 2).T
-        x, y = (np.nan_to_num(each, nan=-1e4).astype(np.float32) for each in (x, y))
+        x, y = (np.nan_to_num(axis, nan=-1e4).astype(np.float32) for axis in (x, y))
         profile = np.median(cv2.remap(grey, x, y, cv2.INTER_LINEAR), axis=1)
         contrast = abs(float(np.median(profile[:ESF_ENDS]) - np.median(profile[-ESF_ENDS:])))
         steepest = float(np.abs(np.diff(profile)).max())

@@ -85,8 +85,8 @@ def usage(rig: Rig, cycle: PlateCycle, thermal_load: np.ndarray | float = 1.0) -
     travel = np.concatenate([_motor_travel(rig, part) for part in parts])
     pushes = np.concatenate([motor_force(rig, part) for part in parts])
     moves = [travel, _pad_to_quintic(derivative(travel)), pushes]
-    each = polynomial_peaks(np.concatenate(moves, axis=2), steps)
-    stroke, speed, force = (float(np.max(peaks)) for peaks in np.split(each, 3))
+    all_peaks = polynomial_peaks(np.concatenate(moves, axis=2), steps)
+    stroke, speed, force = (float(np.max(peaks)) for peaks in np.split(all_peaks, 3))
     accel = _max_corner_acceleration(
         rig, np.concatenate([part.coefficients for part in parts]), steps
     )
@@ -133,12 +133,16 @@ def polynomial_peaks(
     so a result below `enough` may be too low.
     """
     count, powers, columns = coefficients.shape
-    each = coefficients.transpose(0, 2, 1).reshape(-1, powers, 1)
+    polynomials = coefficients.transpose(0, 2, 1).reshape(-1, powers, 1)
     steps = np.repeat(steps, columns)
-    bend = _magnitude_bound(derivative(each, 2), steps)[:, 0]
+    bend = _magnitude_bound(derivative(polynomials, 2), steps)[:, 0]
     column = np.tile(np.arange(columns), count)
     return _find_peaks(
-        lambda piece, t: np.abs(_evaluate_polynomials(each[piece], t)), bend, steps, column, enough
+        lambda piece, t: np.abs(_evaluate_polynomials(polynomials[piece], t)),
+        bend,
+        steps,
+        column,
+        enough,
     )
 
 

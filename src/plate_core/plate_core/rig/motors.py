@@ -51,7 +51,7 @@ def compute_motor_loads(
     `levers` is B^T (4, 3). Stiffness K, damping C and mass M are (3, 3).
     """
     inverse = np.linalg.pinv(levers.T)
-    return np.array([inverse @ each for each in (stiffness, damping, mass)])
+    return np.array([inverse @ matrix for matrix in (stiffness, damping, mass)])
 
 
 def force_per_accel(load: np.ndarray, half: np.ndarray) -> np.ndarray:

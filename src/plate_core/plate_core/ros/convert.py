@@ -297,8 +297,8 @@ def msg_to_targets(msg: TargetsMsg) -> tuple[PartTarget, ...]:
         double = next(name for name in ids if ids.count(name) > 1)
         raise PlateError(f"targets: {double[:50]} occurs twice, allowed: each part at most once")
     return tuple(
-        PartTarget(each.id, (each.x, each.y), None if math.isnan(each.angle) else each.angle)
-        for each in msg.targets
+        PartTarget(item.id, (item.x, item.y), None if math.isnan(item.angle) else item.angle)
+        for item in msg.targets
     )
 
 
@@ -339,7 +339,7 @@ def _to_intervals(
 ) -> np.ndarray:
     """Return the fields `keys` (M, n) of the parts. These fields are lower and upper bounds of
     intervals, in turn. Raise an error if a lower bound exceeds its upper bound."""
-    ends = np.array([[getattr(each, key) for key in keys] for each in forces], dtype=float)
+    ends = np.array([[getattr(force, key) for key in keys] for force in forces], dtype=float)
     ends = ends.reshape(-1, len(keys))
     wrong = ~(ends[:, 0::2] <= ends[:, 1::2])  # NaN also counts as wrong
     if np.any(wrong):

@@ -203,9 +203,9 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
         # together with its restarted instance. Ignore unknown names, because the name of a new node
         # is unknown at first.
         names = {
-            f"{each.node_namespace}/{each.node_name}".removeprefix(prefix)
-            for each in found
-            if each.node_name != UNKNOWN_NAME
+            f"{publisher.node_namespace}/{publisher.node_name}".removeprefix(prefix)
+            for publisher in found
+            if publisher.node_name != UNKNOWN_NAME
         }
         listed = ", ".join(sorted(names)) or "names unknown"
         if len(names) > 1:

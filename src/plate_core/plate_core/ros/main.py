@@ -127,7 +127,7 @@ def _run_nodes(
             executor.add_node(nodes[-1])
         start_nodes(*(node for node in nodes if isinstance(node, SafeLifecycleNode)))
         options = (getattr(node, "options", None) for node in nodes)
-        bound = all(getattr(each, "end_with_parent", True) for each in options)
+        bound = all(getattr(node_options, "end_with_parent", True) for node_options in options)
         spinning = True
         while rclpy.ok() and not stopped and not (bound and os.getppid() != parent):
             executor.spin_once(timeout_sec=POLL_S)

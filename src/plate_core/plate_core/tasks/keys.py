@@ -20,7 +20,7 @@ SIDES = {
 
 def side_name(side: Side) -> str:
     """Return the name of a side or corner."""
-    return next(name for name, each in SIDES.items() if each == side)
+    return next(name for name, named_side in SIDES.items() if named_side == side)
 
 
 KINDS = ("sort", "follow", "assemble", "pose", "move", "feed")

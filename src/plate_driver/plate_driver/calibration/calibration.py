@@ -278,7 +278,7 @@ def saved_response(path: str | Path) -> Response:
     try:
         content = read_file(path, MAX_BYTES)
         with ZipFile(BytesIO(content)) as packed:
-            size = sum(each.file_size for each in packed.infolist())
+            size = sum(entry.file_size for entry in packed.infolist())
         # check the unpacked size, because a small file can contain a much larger array
         if size > MAX_BYTES:
             raise PlateError(f"its unpacked size is {size} bytes, allowed: up to {MAX_BYTES}")

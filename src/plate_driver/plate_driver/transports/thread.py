@@ -225,19 +225,19 @@ class TransportThread:
     def _complete_enables(self) -> None:
         """Complete the enables that have succeeded, failed or timed out. Open the latch if an
         enable has succeeded."""
-        for each in list(self._enables):
-            completed, failure = each.order.completed, each.order.failure
-            if not completed and time.monotonic() < each.end:
+        for enable in list(self._enables):
+            completed, failure = enable.order.completed, enable.order.failure
+            if not completed and time.monotonic() < enable.end:
                 continue
-            opened = completed and not failure and self._latch.open(each.number)
+            opened = completed and not failure and self._latch.open(enable.number)
             if not completed:
-                failure = f"the motors are not ready after {each.order.max_s:.2g} s"
+                failure = f"the motors are not ready after {enable.order.max_s:.2g} s"
             elif not failure and not opened:
                 failure = STOPPED_SINCE
-            self._enables.remove(each)
-            self._latch.enable_ended(each.number)
-            each.result.complete(failure)
-            if not opened and (not completed or each.order.done):
+            self._enables.remove(enable)
+            self._latch.enable_ended(enable.number)
+            enable.result.complete(failure)
+            if not opened and (not completed or enable.order.done):
                 # The enable command has failed. Switch off the motors, because the command may have
                 # switched them on.
                 self._call_guarded(self._transport.stop)

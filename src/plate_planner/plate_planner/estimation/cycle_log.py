@@ -346,7 +346,9 @@ class CycleLog:
         cycle = self.next(waiting) if self.runs else waiting[-1]
         # Keep the sent cycles in two cases: their starts may be reported later, or a sent cycle may
         # follow a tail.
-        keeps = math.isfinite(self.last_report) or not any(cycle is each for each in waiting)
+        keeps = math.isfinite(self.last_report) or not any(
+            cycle is candidate for candidate in waiting
+        )
         awaited = self.awaited if keeps else self._updated_awaited(cycle)
         runs = (*self.runs, (t, cycle))
         return replace(self, runs=runs, sent=self.sent if keeps else (), awaited=awaited)

@@ -139,8 +139,8 @@ class FrameClock:
         else:
             covariance = np.diag([FIRST_S**2, FIRST_INTERVAL_S**2])
             clock = replace(self, time=np.array([[stamps[0], interval]]), covariance=covariance)
-            for each in stamps[1:]:
-                clock = clock._update(each)
+            for image_stamp in stamps[1:]:
+                clock = clock._update(image_stamp)
         # If the standard deviation of the stamps is larger, the stamps contain no information about
         # the frame times. Then restart the clock.
         if not clock.noise_s <= WIDEST * clock.interval:

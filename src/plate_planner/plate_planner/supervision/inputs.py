@@ -382,8 +382,8 @@ class Inputs:
         """Return the inputs after a stall of the planner's process. Arrival times of earlier
         messages are discarded."""
         parts, driver = (
-            replace(each, since=now, arrival=None if each.arrival is None else now)
-            for each in (self.parts, self.driver)
+            replace(source, since=now, arrival=None if source.arrival is None else now)
+            for source in (self.parts, self.driver)
         )
         starts = self.starts and replace(self.starts, since=now, arrival=None)
         return replace(

@@ -456,7 +456,7 @@ class Aims:
 def _has_new_id(parts: Parts, name: str, place: tuple[float, float]) -> bool:
     """Whether one of the parts has the same class as the vanished part `name` and is close to its
     last place (x, y). In this case, both are the same part, which has got a new id."""
-    same = [part_class(each) == part_class(name) for each in parts.ids]
+    same = [part_class(part_id) == part_class(name) for part_id in parts.ids]
     distance = np.hypot(*(parts.position - place).T)
     return bool(np.any(distance[np.array(same, dtype=bool)] <= RENAMED_M))
 

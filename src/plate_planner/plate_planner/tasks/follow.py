@@ -484,7 +484,7 @@ class Follower(TaskRules):
         if memory is not None:
             path, part = matched_rows(memory.match, parts)
             time = memory.path_time(t)
-            along = np.array([each.heading(time) for each in self.paths])
+            along = np.array([reference.heading(time) for reference in self.paths])
             across = np.column_stack([-along[:, 1], along[:, 0]])
             axes[part] = np.stack([along, across], axis=1)[path]
         return axes

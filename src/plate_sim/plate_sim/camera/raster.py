@@ -63,7 +63,7 @@ class Outlines(NamedTuple):
 
     def take(self, rows: np.ndarray) -> Outlines:
         """Return the outlines of the parts with the indices `rows` (k,)."""
-        return Outlines(self.edges, self.pieces, *(each[rows] for each in self[2:]))
+        return Outlines(self.edges, self.pieces, *(array[rows] for array in self[2:]))
 
 
 class Sprites(NamedTuple):
@@ -102,7 +102,7 @@ class Sprites(NamedTuple):
     def take(self, rows: np.ndarray) -> Sprites:
         """Return the shapes with the indices `rows` (k,), in this order."""
         path = np.ascontiguousarray(self.path[:, rows])
-        return Sprites(*(path if each is self.path else each[rows] for each in self))
+        return Sprites(*(path if array is self.path else array[rows] for array in self))
 
 
 def concatenate_outlines(groups: Sequence[Outlines]) -> Outlines:

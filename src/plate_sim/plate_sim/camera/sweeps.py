@@ -105,7 +105,7 @@ def sweep_outlines(
             for piece in group
         ]
         edges.append(np.concatenate(tangents, axis=1).reshape(-1, 3))
-        sizes.append(np.tile([each.shape[1] for each in tangents], len(rows)))
+        sizes.append(np.tile([edge_group.shape[1] for edge_group in tangents], len(rows)))
         first[rows] = begin + len(tangents) * np.arange(len(rows))
         hole[rows], end[rows] = first[rows] + len(solid), first[rows] + len(tangents)
         begin += len(tangents) * len(rows)

@@ -340,5 +340,5 @@ class SetpointCheck:
                 steps = np.diff(places, axis=0) / CYCLE_S
                 if led:
                     found = (places, steps, np.diff(steps, axis=0) / CYCLE_S)
-                    maxima = [np.max(np.abs(each), initial=0.0) for each in found]
+                    maxima = [np.max(np.abs(values), initial=0.0) for values in found]
                     self.fractions = np.maximum(self.fractions, maxima / self._limits)

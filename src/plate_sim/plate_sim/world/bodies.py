@@ -306,7 +306,7 @@ def check_starts(starts: Sequence[tuple[Any, Any, Any, Any]]) -> np.ndarray:
     shapes of `simulate_bodies`."""
     count = len(starts[0][0])
     shapes = (count, 2), (count,), (count, 2), (count,)
-    fields = [np.asarray(each) for each in zip(*starts, strict=True)]
+    fields = [np.asarray(column) for column in zip(*starts, strict=True)]
     if all(field.shape[1:] == shape for field, shape in zip(fields, shapes, strict=True)):
         states = np.empty((len(starts), count, 6))
         for columns, field in zip(COLUMNS, fields, strict=True):

@@ -78,15 +78,15 @@ class History:
         return History(
             tuple(
                 Passage(
-                    each.motion,
+                    passage.motion,
                     replace(
-                        each.run, position=each.run.position[:, rows],
-                        velocity=each.run.velocity[:, rows], angle=each.run.angle[:, rows],
-                        spin=each.run.spin[:, rows], on_plate=each.run.on_plate[rows],
+                        passage.run, position=passage.run.position[:, rows],
+                        velocity=passage.run.velocity[:, rows], angle=passage.run.angle[:, rows],
+                        spin=passage.run.spin[:, rows], on_plate=passage.run.on_plate[rows],
                     ),
-                    each.on_plate[rows],
+                    passage.on_plate[rows],
                 )
-                for each in self.passages
+                for passage in self.passages
             )
         )  # fmt: skip
 
@@ -101,24 +101,26 @@ class History:
         return History(
             tuple(
                 Passage(
-                    each.motion,
+                    passage.motion,
                     replace(
-                        each.run, position=append_part(each.run.position, position),
-                        velocity=append_part(each.run.velocity, 0.0),
-                        angle=append_part(each.run.angle, 0.0),
-                        spin=append_part(each.run.spin, 0.0),
-                        on_plate=np.append(each.run.on_plate, False),
+                        passage.run, position=append_part(passage.run.position, position),
+                        velocity=append_part(passage.run.velocity, 0.0),
+                        angle=append_part(passage.run.angle, 0.0),
+                        spin=append_part(passage.run.spin, 0.0),
+                        on_plate=np.append(passage.run.on_plate, False),
                     ),
-                    np.append(each.on_plate, False),
+                    np.append(passage.on_plate, False),
                 )
-                for each in self.passages
+                for passage in self.passages
             )
         )  # fmt: skip
 
     def shows(self, count: int) -> np.ndarray:
         """Return for each of the `count` parts whether it was on the plate at the end of any cycle
         in the history."""
-        return np.any([np.zeros(count, bool), *(each.on_plate for each in self.passages)], axis=0)
+        return np.any(
+            [np.zeros(count, bool), *(passage.on_plate for passage in self.passages)], axis=0
+        )
 
     def ago(self, age: float) -> View:
         """Return the states of parts and plate at the time `age` [s] before the end of the last

@@ -140,8 +140,8 @@ def run_together(
         np.ascontiguousarray(moved[..., columns]) for columns in COLUMNS
     )
     after = [
-        WorldState(ids, *each)
-        for each in zip(position, velocity, on_plates, angle, spin, strict=True)
+        WorldState(ids, *arrays)
+        for arrays in zip(position, velocity, on_plates, angle, spin, strict=True)
     ]
     if not every:
         return after, []

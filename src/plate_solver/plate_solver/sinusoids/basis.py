@@ -169,10 +169,10 @@ class SinusoidBasis:
         for state in states:
             state[:, -1] = state[:, 0]
         splines = (self.spline @ coefficients).reshape(len(coefficients), -1, 6, 3)
-        each = zip(*states, splines, strict=True)
+        columns = zip(*states, splines, strict=True)
         return [
             PlateCycle(self.times, pose, twist, accel, spline)
-            for pose, twist, accel, spline in each
+            for pose, twist, accel, spline in columns
         ]
 
 

@@ -92,8 +92,8 @@ class Caller:
             if future not in sent:  # ignore this reply, because an earlier reply has ended the call
                 return
             self.pollers.discard(check_timeout)
-            for each in sent:
-                client.remove_pending_request(each)
+            for request_future in sent:
+                client.remove_pending_request(request_future)
             sent.clear()
             if not future.cancelled():
                 try:

@@ -235,7 +235,7 @@ class Operator:
         names."""
         own_namespace = self._node.get_namespace()
         nodes = self._node.get_node_names_and_namespaces()
-        node_names = sorted({each for each, space in nodes if space == own_namespace})
+        node_names = sorted({node_name for node_name, space in nodes if space == own_namespace})
         if name not in node_names:
             raise PlateError(f"node is {name!r}, allowed: {', '.join(node_names)}")
         return name
@@ -256,8 +256,8 @@ class Operator:
         self._requests[node] = []
 
         def finish(ok: bool, text: str) -> None:
-            for each in others:
-                each.answer(ok, text)
+            for call in others:
+                call.answer(ok, text)
             waiting = self._requests.pop(node, [])
             if waiting:
                 self._request_parameters(waiting[0], node, waiting[1:])
@@ -452,7 +452,7 @@ class Operator:
     def _start_follow_task(self, pending: PendingCommand) -> None:
         """Start a task in which a part follows a drawn path."""
         part, closed, speed = (pending.values[key] for key in ("id", "closed", "speed"))
-        if not any(each.id == part for each in self._listener.parts.parts):
+        if not any(detected.id == part for detected in self._listener.parts.parts):
             raise PlateError(f"follow: part {part!r} is not detected")
         path = Path(type=part_class(part), closed=closed, laps=float(closed), speed=speed)
         path.waypoints = [Point(x=x, y=y) for x, y in pending.values["points"]]
@@ -532,7 +532,7 @@ def _changed_fields(msg: Any) -> Any:
         return {name: _changed_fields(v) for name, v in values.items() if v != getattr(new, name)}
     if isinstance(msg, str | bool | int | float):
         return msg
-    return [_changed_fields(each) for each in msg]
+    return [_changed_fields(item) for item in msg]
 
 
 def _parameter_for_page(name: str, value: Any, about: Any) -> dict[str, Any]:

@@ -72,8 +72,8 @@ class Stops:
         for name, (first, *others) in waiting.items():
 
             def on_answer(ok: bool, text: str, others: list[PendingCommand] = others) -> None:
-                for each in others:
-                    each.answer(ok, text)
+                for call in others:
+                    call.answer(ok, text)
 
             first.answered = on_answer
             self._caller.call(first, Trigger, name, Trigger.Request(), first.done)

@@ -171,7 +171,7 @@ def _find_boards(pictures: Pictures, board: Board) -> tuple[Board, list[Corners]
     """Search for the board in pictures of one size. In a long film or a large folder, an increasing
     number of pictures is skipped (`FRAMES_SEARCHED`). Return the board as it is printed, its
     corners in each picture that shows it, and the size of the pictures [px]."""
-    each = FRAMES_SEARCHED if pictures.is_film else PICTURES_SEARCHED
+    searched = FRAMES_SEARCHED if pictures.is_film else PICTURES_SEARCHED
     progress = Progress(pictures)
     seen: list[Corners] = []
     size_px = (0, 0)
@@ -191,7 +191,7 @@ def _find_boards(pictures: Pictures, board: Board) -> tuple[Board, list[Corners]
         if corners is not None:
             seen.append(corners)
         progress.searched(name, 0 if corners is None else len(corners[0]), len(board.corners))
-        pictures.skip(2 ** (progress.count // each) - 1)
+        pictures.skip(2 ** (progress.count // searched) - 1)
     progress.end()
     if unlike is not None and len(seen) < MIN_PICTURES:
         raise unlike

@@ -79,7 +79,7 @@ class Watch:
             interval = instant - before
             if len(self._intervals) == INTERVALS:
                 usual = median(self._intervals)
-                near = sum(abs(each - usual) < NEAR * usual for each in self._intervals)
+                near = sum(abs(earlier - usual) < NEAR * usual for earlier in self._intervals)
                 if near >= REGULAR * INTERVALS and interval > GAP * usual:
                     self.lost += round(interval / usual) - 1
             self._intervals.append(interval)
