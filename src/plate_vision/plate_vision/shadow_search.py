@@ -9,7 +9,7 @@ method).
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import product
 
 import cv2
@@ -114,98 +114,136 @@ def find_shadow(
         return None
     middle, parts, length_px, direction = found
     slopes = calibration.slopes(middle)
-    offsets_m = np.einsum("nij,nj->ni", slopes, length_px[:, None] * direction)
-    offset_m = np.median(offsets_m, axis=0)
-    plain = float(np.mean(np.minimum(fit_discs(contrast, middle, parts)["misfit"], WORST)))
+    fit = _ShadowFit(contrast, middle, parts, slopes)
+    offset_m = np.median(np.einsum("nij,nj->ni", slopes, length_px[:, None] * direction), axis=0)
+    refinements = []
+    for sense in (1, -1):
+        shadow = Shadow(calibration, sense * offset_m, 0.5, 1.0)
+        for _ in range(ROUNDS):
+            shadow = fit.search_grid(shadow)
+        shadow = fit.refined(shadow)
+        refinements.append((fit.misfit_along_shadow(fit.with_measured_length(shadow)), shadow))
+    (misfit, best), (other, reverse) = sorted(refinements, key=lambda refinement: refinement[0])
+    left = fit.mean_misfit(best)
+    one_sense = best.offset_m @ reverse.offset_m > 0 or misfit < SURE * other
+    if not one_sense or left > GOOD_FIT or left > BETTER * fit.misfit_without_shadow():
+        return None
+    # If most parts are about as dark as their shadows, parts and shadows cannot be distinguished.
+    # In this case, the sign of the shadow's direction is unknown.
+    unlike = np.abs(fit.discs(best)["darkness"] - best.darkness) > UNLIKE
+    if np.count_nonzero(unlike) < UNLIKE_FRACTION * len(unlike):
+        return None
+    # The misfit evaluates only pixels near the contours of the discs. A long shadow ends far from
+    # the contours, so its length is measured along the shadow. If the misfit with the measured
+    # length is too large, the shadow is short. For a short shadow, the fitted length is used.
+    adjusted, left_adjusted = fit.adjusted(fit.with_measured_length(best))
+    return adjusted if left_adjusted < max(EQUAL * left, GOOD_FIT) else best
 
-    def fit_parts(shadow: Shadow) -> np.ndarray:
+
+@dataclass(frozen=True)
+class _ShadowFit:
+    """Fit of parts (n,) with a common shadow to an image.
+
+    Attributes
+    ----------
+    contrast : LitPlate
+        The `contrast_image`.
+    middle : (n, 2)
+        Centres of the parts with their shadows [px].
+    parts : (n,)
+        Silhouettes of parts at these places.
+    slopes : (n, 2, 2)
+        Derivatives of plate coordinates with respect to pixels at these places [m/px].
+    """
+
+    contrast: LitPlate
+    middle: np.ndarray
+    parts: np.ndarray
+    slopes: np.ndarray
+
+    def misfit_without_shadow(self) -> float:
+        """Return the mean misfit of the contours without a shadow."""
+        discs = fit_discs(self.contrast, self.middle, self.parts)
+        return float(np.mean(np.minimum(discs["misfit"], WORST)))
+
+    def discs(self, shadow: Shadow) -> np.ndarray:
+        """Return the discs (n,) DISC that fit the image if they cast the shadow."""
         offset = np.linalg.solve(
-            slopes, np.broadcast_to(shadow.offset_m[:, None], (len(slopes), 2, 1))
+            self.slopes, np.broadcast_to(shadow.offset_m[:, None], (len(self.slopes), 2, 1))
         )
-        seeds = np.ascontiguousarray(middle - 0.5 * offset[:, :, 0])
-        return fit_discs(contrast, seeds, parts, shadow)
+        seeds = np.ascontiguousarray(self.middle - 0.5 * offset[:, :, 0])
+        return fit_discs(self.contrast, seeds, self.parts, shadow)
 
-    def mean_misfit(shadow: Shadow) -> float:
+    def mean_misfit(self, shadow: Shadow) -> float:
         """Return the mean misfit of the contours with a shadow."""
-        return float(np.mean(np.minimum(fit_parts(shadow)["misfit"], WORST)))
+        return float(np.mean(np.minimum(self.discs(shadow)["misfit"], WORST)))
 
-    def misfit_along_shadow(shadow: Shadow) -> float:
+    def misfit_along_shadow(self, shadow: Shadow) -> float:
         """Return the mean misfit of the contours, plus the deviation of the darkness along the
         shadows. The darkness is only evaluated if the shadows are at least as long as a part's
         radius. Such shadows could be mistaken for parts."""
-        discs = fit_parts(shadow)
-        steps, levels = _darkness_profiles(contrast, shadow, discs, parts)
-        length = _median_length(shadow, discs, parts)
+        discs = self.discs(shadow)
+        steps, levels = _darkness_profiles(self.contrast, shadow, discs, self.parts)
+        length = _median_length(shadow, discs, self.parts)
         inner = (steps > INNER_PX) & (steps < length - shadow.edge_px)
-        if length < np.median(parts["radius_px"]) or not np.any(inner):
-            return mean_misfit(shadow)
+        if length < np.median(self.parts["radius_px"]) or not np.any(inner):
+            return self.mean_misfit(shadow)
         odd = np.median(np.abs(levels[:, inner] - shadow.darkness), axis=1)
         return float(np.mean(np.minimum(discs["misfit"] + odd, WORST)))
 
-    def search_grid(shadow: Shadow) -> Shadow:
+    def with_measured_length(self, shadow: Shadow) -> Shadow:
+        """Return the shadow with its measured length. The shadow ends where the median darkness
+        over the discs falls to half of the shadow's darkness."""
+        discs = self.discs(shadow)
+        steps, levels = _darkness_profiles(self.contrast, shadow, discs, self.parts)
+        light = np.flatnonzero(np.median(levels, axis=0) < 0.5 * shadow.darkness)
+        end = steps[light[0]] if len(light) else steps[-1]
+        length = _median_length(shadow, discs, self.parts)
+        return replace(shadow, offset_m=shadow.offset_m * max(end, 1.0) / length)
+
+    def search_grid(self, shadow: Shadow) -> Shadow:
         """Return the shadow with the best darkness and edge of the grid search, and with its
         measured length."""
         tried = (
             replace(shadow, darkness=float(darkness), edge_px=edge_px)
             for darkness, edge_px in product(DARKNESS, EDGES_PX)
         )
-        best = min(tried, key=mean_misfit)
-        return _measure_shadow_length(contrast, best, fit_parts(best), parts)
+        return self.with_measured_length(min(tried, key=self.mean_misfit))
 
-    def refine_shadow(shadow: Shadow) -> tuple[float, Shadow]:
-        """Return the misfit of the best shadow that is similar to the given shadow, and this best
-        shadow."""
+    def refined(self, shadow: Shadow) -> Shadow:
+        """Return the best shadow that is similar to the given shadow."""
 
-        def changed_shadow(change: np.ndarray) -> Shadow:
-            return Shadow(
-                calibration,
-                shadow.offset_m + 1e-3 * change[:2],
-                float(np.clip(shadow.darkness + 0.1 * change[2], *DARKEST)),
-                float(np.clip(shadow.edge_px + change[3], *EDGE_RANGE_PX)),
+        def changed(change: np.ndarray) -> Shadow:
+            return replace(
+                _with_changed_darkness(shadow, change[2:]),
+                offset_m=shadow.offset_m + 1e-3 * change[:2],
             )
 
         best = minimize(
-            lambda change: mean_misfit(changed_shadow(change)), np.zeros(4), method="Nelder-Mead",
+            lambda change: self.mean_misfit(changed(change)), np.zeros(4), method="Nelder-Mead",
             options={"initial_simplex": SIMPLEX, "maxfev": TRIES},
         )  # fmt: skip
-        there = changed_shadow(best.x)
-        return misfit_along_shadow(
-            _measure_shadow_length(contrast, there, fit_parts(there), parts)
-        ), there
+        return changed(best.x)
 
-    refinements = []
-    for sense in (1, -1):
-        shadow = Shadow(calibration, sense * offset_m, 0.5, 1.0)
-        for _ in range(ROUNDS):
-            shadow = search_grid(shadow)
-        refinements.append(refine_shadow(shadow))
-    (whole, best), (other, reverse) = sorted(refinements, key=lambda one: one[0])
-    left = mean_misfit(best)
-    one_sense = best.offset_m @ reverse.offset_m > 0 or whole < SURE * other
-    if not one_sense or left > GOOD_FIT or left > BETTER * plain:
-        return None
-    # If most parts are about as dark as their shadows, parts and shadows cannot be distinguished.
-    # In this case, the sign of the shadow's direction is unknown.
-    unlike = np.abs(fit_parts(best)["darkness"] - best.darkness) > UNLIKE
-    if np.count_nonzero(unlike) < UNLIKE_FRACTION * len(unlike):
-        return None
-    # The misfit evaluates only pixels near the contours of the discs. A long shadow ends far from
-    # the contours, so its length is measured along the shadow. If the misfit with the measured
-    # length is too large, the shadow is short. For a short shadow, the fitted length is used.
-    measured = _measure_shadow_length(contrast, best, fit_parts(best), parts)
+    def adjusted(self, shadow: Shadow) -> tuple[Shadow, float]:
+        """Return the shadow with the best darkness and edge that are similar to the given ones, and
+        its mean misfit. The length stays the same."""
+        best = minimize(
+            lambda change: self.mean_misfit(_with_changed_darkness(shadow, change)), np.zeros(2),
+            method="Nelder-Mead",
+            options={"initial_simplex": SIMPLEX[:3, :2], "maxfev": TRIES // 2},
+        )  # fmt: skip
+        return _with_changed_darkness(shadow, best.x), float(best.fun)
 
-    def adjusted_shadow(change: np.ndarray) -> Shadow:
-        return replace(
-            measured,
-            darkness=float(np.clip(measured.darkness + 0.1 * change[0], *DARKEST)),
-            edge_px=float(np.clip(measured.edge_px + change[1], *EDGE_RANGE_PX)),
-        )
 
-    result = minimize(
-        lambda change: mean_misfit(adjusted_shadow(change)), np.zeros(2), method="Nelder-Mead",
-        options={"initial_simplex": SIMPLEX[:3, :2], "maxfev": TRIES // 2},
-    )  # fmt: skip
-    return adjusted_shadow(result.x) if result.fun < max(EQUAL * left, GOOD_FIT) else best
+def _with_changed_darkness(shadow: Shadow, change: np.ndarray) -> Shadow:
+    """Return a shadow whose darkness and edge are changed by `change` (2,), in units of 0.1 and of
+    1 px."""
+    return replace(
+        shadow,
+        darkness=float(np.clip(shadow.darkness + 0.1 * change[0], *DARKEST)),
+        edge_px=float(np.clip(shadow.edge_px + change[1], *EDGE_RANGE_PX)),
+    )
 
 
 def _find_elongated_objects(
@@ -251,19 +289,6 @@ def _find_elongated_objects(
     axis = 0.5 * np.arctan2(mean[1], mean[0])
     sense = np.sign(direction @ (np.cos(axis), np.sin(axis)))
     return middle[rows], parts[rows], length, direction * sense[:, None]
-
-
-def _measure_shadow_length(
-    contrast: LitPlate, shadow: Shadow, discs: np.ndarray, parts: np.ndarray
-) -> Shadow:
-    """Return the shadow with its measured length. The shadow ends where the median darkness over
-    the discs (n,) DISC falls to half of the shadow's darkness."""
-    steps, levels = _darkness_profiles(contrast, shadow, discs, parts)
-    light = np.flatnonzero(np.median(levels, axis=0) < 0.5 * shadow.darkness)
-    end = steps[light[0]] if len(light) else steps[-1]
-    return replace(
-        shadow, offset_m=shadow.offset_m * max(end, 1.0) / _median_length(shadow, discs, parts)
-    )
 
 
 def _darkness_profiles(
