@@ -156,35 +156,11 @@ def check_arguments(args: argparse.Namespace) -> Plan:
     check_run(args)
     check_choice("transport", transport, {*installed(), *DRIVES})
     check_transport(transport, args.port or "of the simulated device")
-    if args.port and (drives or transport == "sim"):
-        hint = " (a board is transport serial)" if drives else ""
-        raise PlateError(
-            f"port is {args.port!r}, but transport {args.transport} requires no port{hint}"
-        )
-    if args.lockstep and transport == "serial":
-        raise PlateError(f"transport is {args.transport}, but --lockstep requires transport sim")
-    if args.camera and transport == "sim":
-        raise PlateError(
-            f"camera is {args.camera!r}, but with transport sim the simulator publishes the images"
-        )
-    if args.image_rate and args.camera:
-        raise PlateError(f"image rate is {args.image_rate:g}, but --camera requires --image-rate 0")
-    if args.image_rate and args.lockstep:
-        raise PlateError(
-            f"image rate is {args.image_rate:g}, but --lockstep requires --image-rate 0"
-        )
-    # Check the image rate: `Disturbances` raises an error if the rate is out of range.
-    Disturbances(image_rate=args.image_rate)
+    check_combination(args, transport)
     check_range("picks", args.picks, 1, MAX_PICKS)
     check_range("robot cycle", args.robot_cycle, 0.3, 60, " s")
     if isinstance(scenario.task, FeedTask):
-        if args.lockstep:
-            raise PlateError("--lockstep is given, but a task of kind feed requires real time")
-        if args.port or args.camera:
-            raise PlateError(
-                "--port or --camera is given, but a task of kind feed requires the simulator"
-            )
-        check_robot(scenario.task, args.robot_cycle)
+        check_feed_arguments(args, scenario.task)
     # Check the task: `Planner` raises an error if the task does not fit on the plate.
     for warning in Planner(rig, scenario).warnings():
         print(f"demo: warning: {warning}", flush=True)
@@ -228,6 +204,42 @@ def check_arguments(args: argparse.Namespace) -> Plan:
     if domain is None and args.port and not args.camera:
         domain = int(os.environ.get("ROS_DOMAIN_ID") or "0")
     return Plan(args, options, scenario, rig, out, domain)
+
+
+def check_combination(args: argparse.Namespace, transport: str) -> None:
+    """Raise PlateError if arguments of the transport, the camera or the lockstep contradict each
+    other. `transport` is the transport of the driver node."""
+    drives = args.transport in DRIVES
+    if args.port and (drives or transport == "sim"):
+        hint = " (a board is transport serial)" if drives else ""
+        raise PlateError(
+            f"port is {args.port!r}, but transport {args.transport} requires no port{hint}"
+        )
+    if args.lockstep and transport == "serial":
+        raise PlateError(f"transport is {args.transport}, but --lockstep requires transport sim")
+    if args.camera and transport == "sim":
+        raise PlateError(
+            f"camera is {args.camera!r}, but with transport sim the simulator publishes the images"
+        )
+    if args.image_rate and args.camera:
+        raise PlateError(f"image rate is {args.image_rate:g}, but --camera requires --image-rate 0")
+    if args.image_rate and args.lockstep:
+        raise PlateError(
+            f"image rate is {args.image_rate:g}, but --lockstep requires --image-rate 0"
+        )
+    # Check the image rate: `Disturbances` raises an error if the rate is out of range.
+    Disturbances(image_rate=args.image_rate)
+
+
+def check_feed_arguments(args: argparse.Namespace, task: FeedTask) -> None:
+    """Raise PlateError if an argument is not allowed with a feed task."""
+    if args.lockstep:
+        raise PlateError("--lockstep is given, but a task of kind feed requires real time")
+    if args.port or args.camera:
+        raise PlateError(
+            "--port or --camera is given, but a task of kind feed requires the simulator"
+        )
+    check_robot(task, args.robot_cycle)
 
 
 def check_camera(camera: str, port: str) -> None:

@@ -536,12 +536,7 @@ def run(
             if own_planner is not None and not state.task.held(
                 state.estimator.stamp, planner.limits
             ):
-                request = own_planner.plan(parts, began)
-                if not isinstance(request, CycleRequest):
-                    raise PlateError(
-                        f"planner {setup.own_planner}: plan() returned a {type(request).__name__}, "
-                        "allowed: a plate_core.CycleRequest"
-                    )
+                request = _own_request(own_planner, setup.own_planner, parts, began)
             solving = cpu_time()
             answer = controller.answer(request, line.running)
             solve_s = cpu_time() - solving
@@ -564,6 +559,18 @@ def run(
         until = np.inf if shot is None else min(shot.delivered, max(answer_at, now + MOMENT_S))
         for motion in line.play(until):
             scene.run(motion)
+
+
+def _own_request(planner: ControlLaw, path: str, parts: Parts, t: float) -> CycleRequest:
+    """Return the request of a user's planner from the file `path`. Raise PlateError if the planner
+    returns another object."""
+    request = planner.plan(parts, t)
+    if not isinstance(request, CycleRequest):
+        raise PlateError(
+            f"planner {path}: plan() returned a {type(request).__name__}, allowed: a "
+            "plate_core.CycleRequest"
+        )
+    return request
 
 
 def predicted(request: CycleRequest, state: PlannerState) -> Prediction | None:

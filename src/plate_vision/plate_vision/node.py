@@ -312,6 +312,17 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             problem += bits_hint(image, self.options.bits) if wide else ""
             self._warn(f"{source}: {problem}")
             self._tally.problem = problem
+        self._publish_parts(image, stamp)
+        self._check_outline(received, seconds(stamp))
+        if not 0 <= seconds(stamp) - self._faint_at < FAINT_PERIOD_S:
+            self._count_faint_patches(image, seconds(stamp))
+        if is_photograph:
+            self._log_photograph(source)
+        self._aiming.add_image(received, stamp)
+
+    def _publish_parts(self, image: np.ndarray, stamp: Time) -> None:
+        """Publish the detected parts. If there are subscribers, publish drawings and markers
+        too."""
         self._parts.publish(
             parts_to_msg(
                 self._tracker.parts,
@@ -324,12 +335,6 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             self._drawings.publish(array_to_image(self._draw_detections(image), stamp, "bgr8"))
         if self._markers.get_subscription_count():
             self._markers.publish(self._make_markers(stamp))
-        self._check_outline(received, seconds(stamp))
-        if not 0 <= seconds(stamp) - self._faint_at < FAINT_PERIOD_S:
-            self._count_faint_patches(image, seconds(stamp))
-        if is_photograph:
-            self._log_photograph(source)
-        self._aiming.add_image(received, stamp)
 
     def _check_stamp(self, image: np.ndarray, stamp: float) -> None:
         """Raise an error if an image has the same stamp as the previous image but other pixels.

@@ -16,6 +16,7 @@ from ..errors import RigError
 from .frames import camera_place, fit_homography, part_radius_px
 from .keys import ODRIVE_COUNTS
 from .rig import Rig
+from .sections import Drive
 
 PART_PX = (3.0, 200.0)
 """Range of part radii in the image that the detector can detect [px]."""
@@ -166,36 +167,11 @@ def _check_drives(rig: Rig) -> Iterator[RigWarning]:
             )  # fmt: skip
         if drive.serial:
             serials[drive.serial] = name
-        odrive = drive.kind == "odrive"
-        if odrive and drive.node > ODRIVE_NODES:
-            yield RigWarning(
-                "motors", f"motors: {name}: node is {drive.node}, allowed for an ODrive: 1 to "
-                f"{ODRIVE_NODES}", True,
-            )  # fmt: skip
-        key, unit = ("turns_per_m", ODRIVE_COUNTS) if odrive else ("counts_per_m", 1)
-        scale = drive.counts_per_m / unit
-        if odrive and scale * rig.limits.speed > ODRIVE_SPEED:
-            yield RigWarning(
-                "motors", f"motors: {name}: turns_per_m is {scale:g}, so the drive turns at "
-                f"{scale * rig.limits.speed:.3g} turns/s at speed_mps {rig.limits.speed:g}, but "
-                f"its feed-forward is limited to {ODRIVE_SPEED:g} turns/s; better: reduce "
-                "turns_per_m or speed_mps",
-            )  # fmt: skip
-        coarse = 1 / drive.counts_per_m
-        if coarse > COARSEST_M:
-            yield RigWarning(
-                "motors", f"motors: {name}: {key} is {scale:g}, so one count is "
-                f"{1e6 * coarse:.3g} um, better: {1e6 * COARSEST_M:g} um or less",
-            )  # fmt: skip
-        if drive.counts_per_m * rig.limits.stroke_m > MAX_COUNTS:
-            yield RigWarning(
-                "motors", f"motors: {name}: {key} is {scale:g}, but a stroke of "
-                f"{rig.limits.stroke_m:g} m requires "
-                f"{MAX_COUNTS / unit / rig.limits.stroke_m:g} or less", True,
-            )  # fmt: skip
-    scales = ", ".join(f"{drive.counts_per_m / unit:g}" for drive in drives.values())
+        yield from _check_drive(rig, name, drive)
     alike = len(set(kinds.values())) == 1
     if alike and len({drive.counts_per_m for drive in drives.values()}) > 1:
+        key, unit = _scale_key(kind)
+        scales = ", ".join(f"{drive.counts_per_m / unit:g}" for drive in drives.values())
         yield RigWarning(
             "motors", f"motors: {key} is {scales} for {', '.join(drives)}; check them, because "
             "drives of the same model usually have equal scales",
@@ -205,6 +181,43 @@ def _check_drives(rig: Rig) -> Iterator[RigWarning]:
             "limits", "limits: following_error_m is 0, so only the drives themselves detect a "
             "drive that does not follow or has lost counts; better: more than 0",
         )  # fmt: skip
+
+
+def _check_drive(rig: Rig, name: str, drive: Drive) -> Iterator[RigWarning]:
+    """Check the node number and the scale of the drive of the motor `name`."""
+    odrive = drive.kind == "odrive"
+    if odrive and drive.node > ODRIVE_NODES:
+        yield RigWarning(
+            "motors", f"motors: {name}: node is {drive.node}, allowed for an ODrive: 1 to "
+            f"{ODRIVE_NODES}", True,
+        )  # fmt: skip
+    key, unit = _scale_key(drive.kind)
+    scale = drive.counts_per_m / unit
+    if odrive and scale * rig.limits.speed > ODRIVE_SPEED:
+        yield RigWarning(
+            "motors", f"motors: {name}: turns_per_m is {scale:g}, so the drive turns at "
+            f"{scale * rig.limits.speed:.3g} turns/s at speed_mps {rig.limits.speed:g}, but "
+            f"its feed-forward is limited to {ODRIVE_SPEED:g} turns/s; better: reduce "
+            "turns_per_m or speed_mps",
+        )  # fmt: skip
+    coarse = 1 / drive.counts_per_m
+    if coarse > COARSEST_M:
+        yield RigWarning(
+            "motors", f"motors: {name}: {key} is {scale:g}, so one count is "
+            f"{1e6 * coarse:.3g} um, better: {1e6 * COARSEST_M:g} um or less",
+        )  # fmt: skip
+    if drive.counts_per_m * rig.limits.stroke_m > MAX_COUNTS:
+        yield RigWarning(
+            "motors", f"motors: {name}: {key} is {scale:g}, but a stroke of "
+            f"{rig.limits.stroke_m:g} m requires "
+            f"{MAX_COUNTS / unit / rig.limits.stroke_m:g} or less", True,
+        )  # fmt: skip
+
+
+def _scale_key(kind: str) -> tuple[str, float]:
+    """Return the key of a drive's scale in the rig file, and the number of counts per unit of this
+    scale."""
+    return ("turns_per_m", ODRIVE_COUNTS) if kind == "odrive" else ("counts_per_m", 1)
 
 
 def _check_limits(rig: Rig) -> Iterator[RigWarning]:

@@ -254,6 +254,16 @@ class _Solids(NamedTuple):
     growth: np.ndarray | None = None
     low: np.ndarray | None = None
 
+    @property
+    def sizes(self) -> np.ndarray:
+        """Size of each part (M,) divided by the size of its type."""
+        return np.ones(self.seen.shape[1]) if self.size is None else self.size
+
+    @property
+    def reach(self) -> np.ndarray:
+        """Distance of the farthest point of each part from its centre (M,) [m]."""
+        return np.asarray(self.sizes * [part.reach_m for part in self.types])
+
 
 class _Layer(NamedTuple):
     """Layer of the drawing with one shape for each of M parts. For example, a layer contains all
@@ -266,6 +276,41 @@ class _Layer(NamedTuple):
     outlines: Outlines
     opacity: float
     cos_sin: np.ndarray
+
+
+UNROTATED = np.array([1.0, 0.0])
+"""Cosine and sine of the angle of shapes whose outlines already include the angle of the part."""
+
+
+def _shadow_layers(scene: _Solids, cos_sin: np.ndarray, lighting: Lighting) -> list[_Layer]:
+    """Return the layers of the parts' shadows. All layers have the same opacity. Where all layers
+    overlap, their total opacity is the opacity of the shadow."""
+    opacity = 1 - (1 - lighting.shadows) ** (1 / PENUMBRA_STEPS)
+    shift = np.tile(lighting.shadow_m * lighting.shadow_direction, (len(cos_sin), 1))
+    layers = []
+    for step in np.linspace(-1, 1, PENUMBRA_STEPS):
+        growth = np.maximum(1 + step * lighting.penumbra_m / (2 * scene.reach), 0.0)
+        outlines = sweep_outlines(scene.types, cos_sin, scene.sizes, growth, shift)
+        layers.append(_Layer(0, scene.path + shift / 2, outlines, opacity, UNROTATED))
+    return layers
+
+
+def _highlight_layers(
+    path: np.ndarray, top: Outlines, cos_sin: np.ndarray, lighting: Lighting
+) -> list[_Layer]:
+    """Return the layers of the highlights and of the gloss on top faces at positions `path` (s, M,
+    2) [m], if the lighting has any."""
+    x, y, depth, area = top.spot.T
+    (c, s), layers = cos_sin.T, []
+    spot = np.stack([c * x - s * y, s * x + c * y], axis=1)
+    if lighting.highlights:
+        radius = np.minimum(np.sqrt(lighting.highlights * area / np.pi), HIGHLIGHT_WIDEST * depth)
+        layers.append(_Layer(3, path + spot, top.discs(radius), HIGHLIGHT_OPACITY, cos_sin))
+    if lighting.gloss:
+        spot = spot - GLOSS_PLACE * depth[:, None] * lighting.shadow_direction
+        gloss = top.discs(lighting.gloss * depth)
+        layers.append(_Layer(3, path + spot, gloss, 1.0, cos_sin))
+    return layers
 
 
 class Camera:
@@ -505,62 +550,23 @@ class Camera:
         point below the camera is drawn first.
         """
         top_outlines, path, count = scene.top, scene.seen, scene.seen.shape[1]
-        cos_sin, level = np.stack([np.cos(angle), np.sin(angle)], axis=1), np.array([1.0, 0.0])
-        layers = [_Layer(1, path, top_outlines, 1.0, cos_sin)]
-        size = np.ones(count) if scene.size is None else scene.size
-        if lighting.shadows:
-            # A shadow is drawn as several layers with the same opacity. Where all layers overlap,
-            # their total opacity is the opacity of the shadow.
-            opacity = 1 - (1 - lighting.shadows) ** (1 / PENUMBRA_STEPS)
-            shift = np.tile(lighting.shadow_m * lighting.shadow_direction, (count, 1))
-            reach = size * [part.reach_m for part in scene.types]
-            shadows = []
-            for step in np.linspace(-1, 1, PENUMBRA_STEPS):
-                growth = np.maximum(1 + step * lighting.penumbra_m / (2 * reach), 0.0)
-                outlines = sweep_outlines(scene.types, cos_sin, size, growth, shift)
-                shadows.append(_Layer(0, scene.path + shift / 2, outlines, opacity, level))
-            layers = [*shadows, *layers]
-        first = len(layers) - 1
+        cos_sin = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        layers = _shadow_layers(scene, cos_sin, lighting) if lighting.shadows else []
+        first = len(layers)
         if scene.growth is not None:
-            # The drawn side face of a part ends slightly inside its top face (see EDGE_PX).
-            rise = path.mean(axis=0) - scene.path.mean(axis=0)
-            swell = (scene.growth - 1)[:, None]
-            reach = size * [part.reach_m for part in scene.types]
-            extent = self._scale * (np.hypot(*rise.T) + swell[:, 0] * reach)
-            part = np.maximum(1 - EDGE_PX / np.maximum(extent, EDGE_PX), 0)[:, None]
-            outlines = sweep_outlines(
-                scene.types, cos_sin, size, 1 + (part * swell)[:, 0], part * rise
-            )
-            layers.insert(first, _Layer(4, scene.path + part * rise / 2, outlines, 1.0, level))
+            layers.append(self._side_layer(scene, scene.growth, cos_sin))
+        layers.append(_Layer(1, path, top_outlines, 1.0, cos_sin))
         if marked:
             marks = top_outlines.discs(MARK_RADIUS * top_outlines.reach)
-            there = path + MARK_PLACE * top_outlines.reach[:, None] * cos_sin
-            layers.append(_Layer(2, there, marks, 1.0, cos_sin))
-        if lighting.highlights or lighting.gloss:
-            x, y, depth, area = top_outlines.spot.T
-            (c, s), there = cos_sin.T, np.empty((count, 2))
-            there[:, 0], there[:, 1] = c * x - s * y, s * x + c * y
-        if lighting.highlights:
-            radius = np.minimum(
-                np.sqrt(lighting.highlights * area / np.pi), HIGHLIGHT_WIDEST * depth
-            )
-            layers.append(
-                _Layer(3, path + there, top_outlines.discs(radius), HIGHLIGHT_OPACITY, cos_sin)
-            )
-        if lighting.gloss:
-            there = there - GLOSS_PLACE * depth[:, None] * lighting.shadow_direction
-            layers.append(
-                _Layer(3, path + there, top_outlines.discs(lighting.gloss * depth), 1.0, cos_sin)
-            )
-        every = [layer.outlines for layer in layers]
-        there, outlines = (
-            np.concatenate([layer.path for layer in layers], axis=1),
-            concatenate_outlines(every),
-        )
+            mark_path = path + MARK_PLACE * top_outlines.reach[:, None] * cos_sin
+            layers.append(_Layer(2, mark_path, marks, 1.0, cos_sin))
+        layers += _highlight_layers(path, top_outlines, cos_sin, lighting)
+        paths = np.concatenate([layer.path for layer in layers], axis=1)
+        outlines = concatenate_outlines([layer.outlines for layer in layers])
         sprites = Sprites(
-            *self._motion_windows(there, outlines.reach), there, outlines.reach,
+            *self._motion_windows(paths, outlines.reach), paths, outlines.reach,
             np.concatenate([np.broadcast_to(layer.cos_sin, (count, 2)) for layer in layers]),
-            np.full(there.shape[1], WHITE),
+            np.full(paths.shape[1], WHITE),
             np.repeat([layer.opacity for layer in layers], count),
         )  # fmt: skip
         kind = np.concatenate([layer.kind * count + np.arange(count) for layer in layers])
@@ -575,6 +581,18 @@ class Camera:
             order = np.lexsort((layer, np.where(layer < first, -1, part)))
             sprites, outlines, kind = sprites.take(order), outlines.take(order), kind[order]
         return sprites, outlines, kind
+
+    def _side_layer(self, scene: _Solids, growth: np.ndarray, cos_sin: np.ndarray) -> _Layer:
+        """Return the side faces of the parts. The drawn side face of a part ends slightly inside
+        its top face (see EDGE_PX)."""
+        rise = scene.seen.mean(axis=0) - scene.path.mean(axis=0)
+        swell = (growth - 1)[:, None]
+        extent = self._scale * (np.hypot(*rise.T) + swell[:, 0] * scene.reach)
+        part = np.maximum(1 - EDGE_PX / np.maximum(extent, EDGE_PX), 0)[:, None]
+        outlines = sweep_outlines(
+            scene.types, cos_sin, scene.sizes, 1 + (part * swell)[:, 0], part * rise
+        )
+        return _Layer(4, scene.path + part * rise / 2, outlines, 1.0, UNROTATED)
 
     def _make_robot_sprites(self, gripper: np.ndarray) -> Sprites:
         """Return the shapes of a robot whose gripper is at the position `gripper` (2,) [m,

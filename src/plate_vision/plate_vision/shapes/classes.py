@@ -311,20 +311,26 @@ def _classify_patches(
                 found[i], own_outlines, catalogue, scale[i], min_score[i], fit[i], size[i], tint[i],
                 hole_check, swell,
             )  # fmt: skip
+    has_height = len(levels) > 1 or levels[0] > 0
+    found["place_sd"] = _position_errors_px(found, conditions, has_height) / scale
+    fitted = np.column_stack([found["x"], found["y"]])
+    found["x_px"], found["y_px"] = calibration.to_image(fitted).T
+    return found
+
+
+def _position_errors_px(found: np.ndarray, conditions: Conditions, has_height: bool) -> np.ndarray:
+    """Return the standard deviations (n,) [px] of the positions of detections (n,)
+    DETECTED_OBJECT."""
     error_px = np.hypot(
         OUTLINE_ERROR * np.maximum(found["fit_px"] - USUAL_FIT_PX, 0),
         SWELL_ERROR * np.maximum(np.abs(found["swell_px"]) - USUAL_SWELL_PX, 0),
     )
-    if lamp is not None:
+    if conditions.lamp is not None:
         # Errors of the shadow's length and edge cause a position error that is half as large.
-        shadow_px = np.hypot(lamp.length_sd_px, max(swell, MIN_SWELL_PX))
+        swell_px = max(conditions.swell_px, MIN_SWELL_PX)
+        shadow_px = np.hypot(conditions.lamp.length_sd_px, swell_px)
         error_px = np.hypot(error_px, 0.5 * shadow_px)
-    if len(levels) > 1 or levels[0] > 0:
-        error_px = np.hypot(error_px, HEIGHT_ERROR_PX)
-    found["place_sd"] = error_px / scale
-    fitted = np.column_stack([found["x"], found["y"]])
-    found["x_px"], found["y_px"] = calibration.to_image(fitted).T
-    return found
+    return np.hypot(error_px, HEIGHT_ERROR_PX) if has_height else error_px
 
 
 def height_levels(
