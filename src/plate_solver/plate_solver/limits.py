@@ -73,7 +73,7 @@ class Limits(NamedTuple):
         Characteristic length that converts theta to a displacement. The searches use this length to
         scale the parameters of a motion.
     levers : (4, 3)
-        Derivative of each motor's travel with respect to the pose, at home.
+        Derivative of each motor's travel [m] with respect to the pose [m, m, rad], at home.
     loads : (3, 4, 3)
         Force of each motor per unit of pose, of twist and of acceleration, divided by the motor's
         peak force.

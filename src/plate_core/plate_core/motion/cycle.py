@@ -152,7 +152,7 @@ class PlateCycle:
             Increasing knot times [s], starting at 0. At most one time occurs twice. At this time
             the cycle ends and its tail begins.
         pose, twist, accel : (k + 1, 3)
-            State of the plate at the knots.
+            State of the plate at the knots [m, m, rad; per s; per s2].
 
         Raises
         ------

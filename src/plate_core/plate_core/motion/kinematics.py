@@ -62,7 +62,7 @@ def plate_state(
     Returns
     -------
     pose, twist, accel : (n, 3)
-        Least-squares estimate of the plate's motion in plate_home.
+        Least-squares estimate of the plate's motion in plate_home [m, m, rad; per s; per s2].
 
     Raises
     ------

@@ -97,7 +97,7 @@ def mass_matrix(
     Parameters
     ----------
     inertia_kgm2 : float
-        Moment of inertia about the centre of mass.
+        Moment of inertia about the centre of mass [kg m2].
     centre_of_mass_m : (2,)
         Centre of mass at rest [m, plate_home].
     """
@@ -133,8 +133,8 @@ def read_suspension(fields: Fields, mass_kg: float, inertia_kgm2: float) -> Susp
     Parameters
     ----------
     mass_kg, inertia_kgm2 : float
-        Mass and moment of inertia of the plate. The moment of inertia is used only if the file has
-        none.
+        Mass [kg] and moment of inertia [kg m2] of the plate. The moment of inertia is used only if
+        the file has none.
 
     Raises
     ------

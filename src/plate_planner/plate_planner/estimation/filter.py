@@ -78,7 +78,9 @@ class StateEstimate:
         Time at which each state is valid [s, in the time of the image stamps]. A state is valid at
         the time of the part's last detection.
     mean : (A, M, 5)
+        Mean of each state. The top of the module describes the five components.
     covariance : (A, M, 5, 5)
+        Covariance of each state.
     drift : (M, 2)
         Last drift that the detector measured [m/s].
     unseen : (M,)

@@ -72,7 +72,8 @@ class Inputs:
         Arrival times of the messages of the topics parts and driver_status. A message of the topic
         parts counts only if its stamp is new.
     ran : float
-        Time at which the planner was last active.
+        Time at which the planner was last active [s, steady clock]. All other times of type float
+        are on the same clock.
     stamp : int or None
         Stamp of the last parts [ns].
     repeated : bool
@@ -250,8 +251,10 @@ class Inputs:
         Parameters
         ----------
         now : float
+            Present time [s, steady clock].
         began : float
-            Time at which the task started. Interruptions of inputs before this time are ignored.
+            Time at which the task started [s, steady clock]. Interruptions of inputs before this
+            time are ignored.
         period : float
             Length of a cycle [s].
         publishers : callable

@@ -37,8 +37,9 @@ class InputMonitor:
     ----------
     inputs : Inputs
     start_timeout_s : float
-        Maximum time from the arrival of a goal until all parts are detected.
+        Maximum time from the arrival of a goal until all parts are detected [s].
     now : float
+        Present time [s].
     publishers : callable
         Function that returns the number of publishers of a topic.
     second_publisher : callable
@@ -111,11 +112,12 @@ class InputMonitor:
         Parameters
         ----------
         now : float
+            Present time [s].
         goal_time : float
-            Arrival time of the goal.
+            Arrival time of the goal [s].
         task : TaskState
         period : float
-            Length of a cycle.
+            Length of a cycle [s].
         """
         failure = self.inputs.problem(now, goal_time, period, self._publishers)
         waited = now - goal_time > self._start_timeout_s + MARGIN_S

@@ -253,7 +253,7 @@ def run_plates(
         Motion, number of equal integration steps per cycle, and surface of each plate.
     shapes : Shapes
     states : (N, M, 6)
-        x, y, angle and their time derivatives. The array is modified.
+        x [m], y [m], angle [rad] and their time derivatives. The array is modified.
     here : (N, M) bool
         Whether each part is on the plate. The array is modified. A removed part stays at rest at
         its place, and does not touch other parts.

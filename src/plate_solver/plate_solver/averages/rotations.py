@@ -23,6 +23,7 @@ class SequenceForces(NamedTuple):
     ----------
     family : Sequences
     position, velocity : (M, 2)
+        Positions [m] and velocities [m/s] of the parts, in plate_home.
     rows : (3 M,) bool
         Mask that states which components are requested: force x, force y and curl of part 1, then
         of part 2, and so on.

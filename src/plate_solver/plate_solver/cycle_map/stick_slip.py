@@ -75,7 +75,8 @@ def end_state(
     position, velocity : (M, 2)
         Positions [m] and velocities [m/s] of the parts at the start, in plate_home.
     pose, twist : (n, 3)
-        Pose and twist of the plate at the middles of the steps, plate_home.
+        Pose [m, m, rad] and twist [m/s, m/s, rad/s] of the plate at the middles of the steps, in
+        plate_home.
     dt : (n,)
         Lengths of the steps [s].
     friction_accel : (M,)

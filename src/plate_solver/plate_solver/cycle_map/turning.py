@@ -58,7 +58,8 @@ def end_turning(
     spread : (M, 3)
         Second moments xx, xy, yy of the contact area of each part [m2, plate_home].
     pose, twist : (n, 3)
-        Pose and twist of the plate at the middles of the steps, plate_home.
+        Pose [m, m, rad] and twist [m/s, m/s, rad/s] of the plate at the middles of the steps, in
+        plate_home.
     dt : (n,)
         Lengths of the steps [s].
     friction_accel : (M,)

@@ -51,8 +51,8 @@ class Library:
     direction : (D, 2)
         Unit vectors of the translations.
     twist : (C + D, 3)
-        Twists of the rotations, then of the translations. The plate's fastest corner has the speed
-        1 m/s.
+        Twists of the rotations, then of the translations [m/s, m/s, rad/s]. The plate's fastest
+        corner has the speed 1 m/s.
     """
 
     centre: np.ndarray

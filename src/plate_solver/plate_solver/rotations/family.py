@@ -80,16 +80,18 @@ class Run(NamedTuple):
     Attributes
     ----------
     parameters : (P,)
+        Parameters of the sequence, as in `RotationFamily`.
     times : (K,)
         Times of the knots [s].
     knots : (K, 3)
-        Twists at the knots.
+        Twists at the knots [m/s, m/s, rad/s].
     pose, twist, accel : (n, 3)
-        Samples at the middles of the steps.
+        Samples at the middles of the steps [m, m, rad; per s; per s2].
     dt : (n,)
         Lengths of the steps [s].
     corners : (K, 3)
-        Poses at the knots before the correction that closes the motion. The last one is the gap.
+        Poses at the knots [m, m, rad] before the correction that closes the motion. The last one is
+        the gap.
     """
 
     parameters: np.ndarray
@@ -167,6 +169,7 @@ class RotationFamily:
         Parameters
         ----------
         parameters : (P,)
+            Parameters of the sequence, as in `RotationFamily`.
         by_pose : (3, n, R), or (2, n, R) if the results do not depend on theta itself
         by_twist : (3, n, R)
         by_dt : (n, R)
