@@ -345,8 +345,8 @@ class Drive(canopen.LocalNode):
         if self.state == "enabled" and not self.jammed:
             period = self.value(0x60C2, 1) * 10.0 ** (self.value(0x60C2, 2) + 3)
             self.into = min(self.into + 1, period)
-            wanted = self.start + (self.goal - self.start) * self.into / period
-            miss = wanted - self.slip - self.position
+            expected = self.start + (self.goal - self.start) * self.into / period
+            miss = expected - self.slip - self.position
             self.position += miss * -math.expm1(-1 / self.lag_ms)
 
 

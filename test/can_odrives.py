@@ -95,23 +95,23 @@ class ODrive:
             self.asked(name)
             return
         assert len(frame.data) == message.length or name == "Clear_Errors"
-        told = message.decode(bytes(frame.data), decode_choices=True)
+        reported = message.decode(bytes(frame.data), decode_choices=True)
         if name == "Set_Axis_State":
-            wanted = str(told["Axis_Requested_State"])
-            if wanted == "CLOSED_LOOP_CONTROL" and (self.errors or self.stuck):
+            expected = str(reported["Axis_Requested_State"])
+            if expected == "CLOSED_LOOP_CONTROL" and (self.errors or self.stuck):
                 return
-            if self.keeps and wanted == "IDLE":
+            if self.keeps and expected == "IDLE":
                 return
-            state = {"IDLE": IDLE, "CLOSED_LOOP_CONTROL": CLOSED_LOOP}[wanted]
+            state = {"IDLE": IDLE, "CLOSED_LOOP_CONTROL": CLOSED_LOOP}[expected]
             if state != self.state:
-                self.history.append(wanted)
+                self.history.append(expected)
                 assert state == IDLE or self.mode == ("POSITION_CONTROL", "PASSTHROUGH")
             self.state = state
         elif name == "Set_Controller_Mode":
-            self.mode = (str(told["Control_Mode"]), str(told["Input_Mode"]))
+            self.mode = (str(reported["Control_Mode"]), str(reported["Input_Mode"]))
         elif name == "Set_Input_Pos":
-            self.goal, self.speed = told["Input_Pos"], told["Vel_FF"]
-            self.torque = told["Torque_FF"]
+            self.goal, self.speed = reported["Input_Pos"], reported["Vel_FF"]
+            self.torque = reported["Torque_FF"]
         elif name == "Clear_Errors":
             self.errors = self.errors if self.stuck else 0
         elif name == "Estop":

@@ -56,8 +56,8 @@ def graph(tmp_path_factory, request):
         running.observer.await_ready()
         ready = running.observer.record.driver.text
         # The planner may receive this status later, and accepts no goal before.
-        heard = partial(running.observer.record.last, "planner", "driver_status")
-        assert running.observer.until(lambda: heard() == ready, ANSWER_S), heard()
+        received = partial(running.observer.record.last, "planner", "driver_status")
+        assert running.observer.until(lambda: received() == ready, ANSWER_S), received()
         if lockstep:
             give_way(running.processes)
         yield running

@@ -226,22 +226,22 @@ class Simulated:
             end, device = self._now_us + int(value), self.device
             while self._now_us < end:
                 self._tick(device)
-            told = (device.state, device.faults, device.refused, device.stops)
-            self.lines.append("state " + " ".join(map(str, told)))
+            reported = (device.state, device.faults, device.refused, device.stops)
+            self.lines.append("state " + " ".join(map(str, reported)))
 
     def _tick(self, device: Device) -> None:
         self._now_us += 1000
         self._searched = self._searched + 1 if device.searches else 1
         found = self._searched >= self._search
-        said, at = device.tick(self._now_us, self._place, self._data, self._fault, found)
+        sent, at = device.tick(self._now_us, self._place, self._data, self._fault, found)
         if device.enabled_us == self._now_us:
             self._searched = 1
         self._data = b""
-        told = [f"tx {frame.hex()}00" for frame in said.split(b"\0")[:-1]]
+        reported = [f"tx {frame.hex()}00" for frame in sent.split(b"\0")[:-1]]
         moved = [] if at is None else [f"at {self._now_us} " + shown(at)]
         # Replies are printed before the setpoint, telemetry after it.
-        late = [t for t in told if t[5:7] == "84"]
-        self.lines += [t for t in told if t not in late] + moved + late
+        late = [t for t in reported if t[5:7] == "84"]
+        self.lines += [t for t in reported if t not in late] + moved + late
         on = device.state != State.OFF
         if on != self._shown:
             self.lines.append(f"drive {self._now_us} {on:d}")

@@ -185,16 +185,16 @@ def answered_once(calls, wait):
     wait : callable
         Waits until a condition is true, for a maximum time [s]. Returns whether it is true.
     """
-    asked = [[] for _ in calls]
+    requested = [[] for _ in calls]
 
     def silent(futures):
         return not any(future.done() for future in futures)
 
     for _ in range(20):
-        for (client, request), futures in zip(calls, asked, strict=True):
+        for (client, request), futures in zip(calls, requested, strict=True):
             if silent(futures):
                 futures.append(client.call_async(request))
-        if wait(lambda: not any(map(silent, asked)), 3.0):
+        if wait(lambda: not any(map(silent, requested)), 3.0):
             return True
     return False
 

@@ -173,9 +173,9 @@ class SimulatedFirmware:
     def let_through(self, data: bytes) -> bytes:
         if not self.withholds:
             return data
-        said = Reader().fed(data)[1]
-        told = [p for p in said if not isinstance(parse(p).message, Acknowledgement)]
-        return b"".join(map(frame, told))
+        packets = Reader().fed(data)[1]
+        reported = [p for p in packets if not isinstance(parse(p).message, Acknowledgement)]
+        return b"".join(map(frame, reported))
 
     def order(self, line: str) -> None:
         """Send the board an order that does not come over the line."""

@@ -135,9 +135,9 @@ def bag(tmp_path_factory):
     lost. Then another bag is recorded.
     """
     for _ in range(4):
-        heard = record(tmp_path_factory.mktemp("graph"))
-        if all(len(until_lost(heard, inputs)) > FEWEST for inputs, _ in NODES.values()):
-            return heard
+        received = record(tmp_path_factory.mktemp("graph"))
+        if all(len(until_lost(received, inputs)) > FEWEST for inputs, _ in NODES.values()):
+            return received
     pytest.fail(f"four bags in which inputs are lost within {FEWEST} cycles")
 
 
@@ -145,7 +145,7 @@ def until_lost(heard, inputs):
     """The stamps up to which all inputs are in the bag."""
     known = [heard[topic] for topic in inputs if topic != "/clock"]
     return list(
-        takewhile(lambda at: all(at in said for said in known), sorted(heard["/image_raw"]))
+        takewhile(lambda at: all(at in reported for reported in known), sorted(heard["/image_raw"]))
     )
 
 
@@ -162,13 +162,13 @@ def record(folder):
         observer.start(graph.scenario)
         assert observer.until(lambda: len(observer.record.tables) > CYCLES, 60)
         observer.pulses.remove(recorder.discover)
-    heard: dict[str, dict[int, Any]] = {topic: {} for topic in KINDS}
+    received: dict[str, dict[int, Any]] = {topic: {} for topic in KINDS}
     with Reader(folder / "bag") as reader:
         for connection, _, data in reader.messages():
-            if connection.topic in heard:
+            if connection.topic in received:
                 msg = deserialize_message(data, KINDS[connection.topic])
-                heard[connection.topic].setdefault(stamp_ns(msg), (data, msg))
-    return heard
+                received[connection.topic].setdefault(stamp_ns(msg), (data, msg))
+    return received
 
 
 @pytest.mark.parametrize("name", NODES)
@@ -182,7 +182,7 @@ def test_a_bag_that_is_played_to_one_node_has_the_same_answers(bag, name, tmp_pa
         for stamp in bag[topic]
         if stamp <= last
     )
-    said = {topic: {} for topic in outputs}
+    reported = {topic: {} for topic in outputs}
     with contextlib.ExitStack() as stack:
         domain = stack.enter_context(own_domain())
         processes = stack.enter_context(
@@ -208,7 +208,7 @@ def test_a_bag_that_is_played_to_one_node_has_the_same_answers(bag, name, tmp_pa
         for topic in outputs:
             player.create_subscription(
                 KINDS[topic], topic,
-                lambda msg, topic=topic: said[topic].setdefault(stamp_ns(msg), msg), DATA,
+                lambda msg, topic=topic: reported[topic].setdefault(stamp_ns(msg), msg), DATA,
             )  # fmt: skip
         assert until(lambda: all(p.get_subscription_count() for p in publishers.values()))
         assert until(lambda: all(player.count_publishers(topic) for topic in outputs))
@@ -229,10 +229,10 @@ def test_a_bag_that_is_played_to_one_node_has_the_same_answers(bag, name, tmp_pa
                     client.start(load_scenario(OPTIONS.scenario))
                 continue
             for _ in range(5):  # a detector may miss an image: it listens as to a camera
-                if until(lambda t=topic, s=stamp: s in said[t], 5.0):
+                if until(lambda t=topic, s=stamp: s in reported[t], 5.0):
                     break
                 if (again := bag["/image_raw"].get(stamp)) and "/image_raw" in inputs:
                     publishers["/image_raw"].publish(again[0])
-            assert stamp in said[topic], (topic, stamp)
-            assert same(name, said[topic][stamp], msg), (topic, stamp)
-    assert all(len(said[topic]) > FEWEST for topic in outputs)
+            assert stamp in reported[topic], (topic, stamp)
+            assert same(name, reported[topic][stamp], msg), (topic, stamp)
+    assert all(len(reported[topic]) > FEWEST for topic in outputs)

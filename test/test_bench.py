@@ -176,8 +176,8 @@ def test_every_table_has_its_words_and_gives_the_facts_in_them():
             key = ast.literal_eval(call.args[0])
             used.add(key)
             text = TEXTS[key]["title"] + TEXTS[key].get("note", "")
-            wanted = {name.split("[")[0] for _, name, _, _ in Formatter().parse(text) if name}
-            assert wanted <= given, key
+            expected = {name.split("[")[0] for _, name, _, _ in Formatter().parse(text) if name}
+            assert expected <= given, key
     assert used == set(TEXTS)
 
 
@@ -194,9 +194,9 @@ def test_one_that_fails_is_named_and_does_not_hold_up_the_others(monkeypatch, tm
     monkeypatch.setattr(sys, "argv", ["run.py", "bad", "good", "--out", str(tmp_path)])
     assert run.main() == 1
     assert [file.name for file in tmp_path.iterdir()] == ["good.json"]
-    told = capsys.readouterr().err
-    assert "ZeroDivisionError" in told
-    assert told.endswith("error: failed measurements: bad\n")
+    output = capsys.readouterr().err
+    assert "ZeroDivisionError" in output
+    assert output.endswith("error: failed measurements: bad\n")
 
 
 @pytest.mark.needs("numba")
@@ -249,8 +249,8 @@ def test_a_drive_on_a_bus_is_as_late_as_its_setpoints(drive, late_ms):
     for _ in range(2):
         [motion] = line.play(np.inf)
     at = np.linspace(0.1, 0.4, 500)
-    wanted = cycle.pose(at - 1e-3 * (3 + late_ms))[:, 0]
-    assert np.sqrt(np.mean((motion.pose(at)[:, 0] - wanted) ** 2)) < 3e-5
+    expected = cycle.pose(at - 1e-3 * (3 + late_ms))[:, 0]
+    assert np.sqrt(np.mean((motion.pose(at)[:, 0] - expected) ** 2)) < 3e-5
 
 
 def test_intervals_have_the_stated_coverage():

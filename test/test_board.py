@@ -182,22 +182,22 @@ STANDARD = "limits of the original config/rig.yaml (RIG is not set)"
 @emulated
 def test_flash_uses_the_named_build_and_reports_it(bench):
     assert "nothing is built" in bench.refused("flash")
-    code, told, _ = bench.make()
+    code, output, _ = bench.make()
     assert code == 0
-    assert STANDARD in told
-    assert "stroke 0.01 m" in told
+    assert STANDARD in output
+    assert "stroke 0.01 m" in output
     standard = bench.image()
     assert bench.make(f"RIG={bench.rig}")[0] == 0
     image = bench.image()
     assert image != standard
-    code, told, _ = bench.make("flash")
+    code, output, _ = bench.make("flash")
     assert code == 0
-    assert f"limits of {bench.rig}; CRYSTAL_MHZ 8, BAUD 921600" in told
+    assert f"limits of {bench.rig}; CRYSTAL_MHZ 8, BAUD 921600" in output
     for limit in (
         "stroke 0.0071 m", "speed 1.0 m/s", "acceleration 100.0 m/s2", "force 12.5 N",
         "following error not monitored",
     ):  # fmt: skip
-        assert limit in told
+        assert limit in output
     assert bench.image() == image
     [call] = bench.flashes()
     assert f"program {bench.build}/plate.elf verify reset exit" in call
@@ -212,10 +212,10 @@ def test_flash_uses_the_named_build_and_reports_it(bench):
     # A build remembers its options.
     assert bench.make("CRYSTAL_MHZ=25")[0] == 0
     before = bench.image()
-    code, told, _ = bench.make("BAUD=460800")
+    code, output, _ = bench.make("BAUD=460800")
     assert code == 0
     remembered, image = f"limits of {bench.rig}; CRYSTAL_MHZ 25, BAUD 460800", bench.image()
-    assert remembered in told
+    assert remembered in output
     assert image != before
     assert numbers((bench.build / "limits_rig.h").read_text(encoding="utf-8")) == expected(
         DeviceLimits.of_rig(load_rig(bench.rig))
@@ -225,13 +225,13 @@ def test_flash_uses_the_named_build_and_reports_it(bench):
     assert "nothing is built" in bench.refused("flash")
     assert bench.make("CRYSTAL_MHZ=12")[0]
     assert "nothing is built" in bench.refused("flash")
-    code, told, _ = bench.make("all", "flash")
+    code, output, _ = bench.make("all", "flash")
     assert code == 0
-    assert remembered in told
+    assert remembered in output
     assert bench.image() == image
-    code, told, _ = bench.make("RIG=")
+    code, output, _ = bench.make("RIG=")
     assert code == 0
-    assert STANDARD in told
+    assert STANDARD in output
 
 
 def test_build_without_the_projects_python_reports_a_remedy(bench):
@@ -320,9 +320,9 @@ def test_a_tick_is_bounded_with_drives_on_a_bus(tmp_path, rig, drives, most_m):
         status, ticks = upload_while_playing(host, 500, 1)
         assert status is Status.DONE
         assert 1000 < ticks.median < ticks.worst <= MOST
-        told = host.telemetry[-100:]
-        assert {message.state for message in told} >= {State.PLAYING}
-        assert max(abs(q) for message in told for q in message.position) > 1e-3
+        reported = host.telemetry[-100:]
+        assert {message.state for message in reported} >= {State.PLAYING}
+        assert max(abs(q) for message in reported for q in message.position) > 1e-3
         assert max(message.following_m for message in host.telemetry) < most_m
         assert host.now().faults is Fault.NONE
 
@@ -438,8 +438,8 @@ def test_a_stop_stays_over_reset_and_cable(firmware, tmp_path):
         host = Host(board)  # the cable is in another computer
         host.begin()
         host.rest(100)
-        told = host.now()
-        assert (told.state, told.faults, told.stop) == (State.OFF, Fault.STOPPED, stop)
+        reported = host.now()
+        assert (reported.state, reported.faults, reported.stop) == (State.OFF, Fault.STOPPED, stop)
         board.reset()
         host = Host(board)
         host.until(lambda: host.telemetry)
@@ -449,8 +449,8 @@ def test_a_stop_stays_over_reset_and_cable(firmware, tmp_path):
         assert host.ask(Enable(stop)) is Status.WRONG_STOP
         assert host.upload(1, wave_table(48, 0.5)) is Status.WRONG_STATE
         host.rest(100)
-        told = host.now()
-        assert (told.state, told.faults) == (State.OFF, Fault.NO_HOME)
+        reported = host.now()
+        assert (reported.state, reported.faults) == (State.OFF, Fault.NO_HOME)
         assert board.memory("driving", 1) == b"\0"
         assert np.frombuffer(board.memory("survivor", 4), np.uint32)[0] == 2
         assert host.enable() is Status.DONE
@@ -492,8 +492,8 @@ class BoardPort:
         self.now += 1e-3
 
     def read(self, size: int) -> bytes:
-        said, self._said = self._said[:size], self._said[size:]
-        return said
+        reported, self._said = self._said[:size], self._said[size:]
+        return reported
 
     def write(self, data: bytes) -> int:
         self._written += data

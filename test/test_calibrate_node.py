@@ -77,7 +77,7 @@ def test_what_calibrate_has_learned_is_used_from_the_next_configure_on(monkeypat
     driver, cycle = DriverNode(), shaking()
     start_nodes(driver)
     t = PERIOD * np.arange(1000) / 1000
-    _, _, wanted = motor_state(RIG, cycle.pose(t), cycle.twist(t), cycle.accel(t))
+    _, _, expected = motor_state(RIG, cycle.pose(t), cycle.twist(t), cycle.accel(t))
 
     def run(seconds: float) -> np.ndarray:
         """Accelerations (n, 4) that are measured meanwhile."""
@@ -106,7 +106,7 @@ def test_what_calibrate_has_learned_is_used_from_the_next_configure_on(monkeypat
         data = serialize_message(cycle_to_msg(cycle, driver.get_clock().now().to_msg()))
         driver.take_cycle(data, len(data))
         run(1.5)
-        return np.sqrt(np.mean(run(5 * PERIOD) ** 2, axis=0) / np.mean(wanted**2, axis=0))
+        return np.sqrt(np.mean(run(5 * PERIOD) ** 2, axis=0) / np.mean(expected**2, axis=0))
 
     def calibrated() -> None:
         assert driver._on_calibrate(Trigger.Request(), Trigger.Response()).success

@@ -114,9 +114,9 @@ def test_drives_are_set_up_and_nothing_has_current_before_an_enable(bench):
         assert drive.value(0x6060) == 8
         assert drive.value(0x1401, 1) >> 31 == drive.value(0x1801, 1) >> 31 == 1
         assert drive.value(0x1016, 1) == 127 << 16 | 150
-    told = said_by(bench, Telemetry)
-    assert {t.faults for t in told} == {Fault.NO_HOME}
-    assert {t.stop for t in told} == {bench.stop}  # to be set up is no stop
+    reported = said_by(bench, Telemetry)
+    assert {t.faults for t in reported} == {Fault.NO_HOME}
+    assert {t.stop for t in reported} == {bench.stop}  # to be set up is no stop
 
 
 def test_current_comes_by_the_states_of_the_standard_and_without_a_jump(bench):
@@ -127,8 +127,8 @@ def test_current_comes_by_the_states_of_the_standard_and_without_a_jump(bench):
     for drive in bench.drives:
         assert drive.history == ["ready", "switched on", "enabled"]
     for motor, place in enumerate(places):
-        told = [row[3] for row in led(bench) if row[1] == motor and row[2] == 15]
-        assert set(told) == {place}
+        reported = [row[3] for row in led(bench) if row[1] == motor and row[2] == 15]
+        assert set(reported) == {place}
     check_bus(bench)
 
 
@@ -217,8 +217,8 @@ def test_the_drives_receive_the_table_and_follow(bench):
         inside = (at > began + 10) & (at < began + 400)
 
         def miss(shift, motor=motor, at=at[inside], place=place[inside]):
-            wanted = curve(1e-3 * (at - began + shift) % 0.1)[..., motor]
-            return float(np.max(np.abs(wanted - place)))
+            expected = curve(1e-3 * (at - began + shift) % 0.1)[..., motor]
+            return float(np.max(np.abs(expected - place)))
 
         best = min(range(8), key=miss)
         assert miss(best) <= 1.5 / SCALE  # of rounding
@@ -269,8 +269,8 @@ def test_one_wrong_position_is_neither_target_nor_home(bench, at):
     assert bench.drives[0].wrong_once is None
     assert bench.state == State.READY
     for motor, place in enumerate(places):
-        told = {row[3] for row in led(bench) if row[1] == motor and row[2] == 15}
-        assert told == {place}
+        reported = {row[3] for row in led(bench) if row[1] == motor and row[2] == 15}
+        assert reported == {place}
     assert max(abs(x) for x in said_by(bench, Telemetry)[-1].position) < 1e-5
 
 
@@ -411,8 +411,8 @@ def test_a_person_confirms_home_if_it_may_be_lost(bench, trouble):
     enable(bench, 501)
     assert (bench.state, bench.faults) == (State.READY, 0)
     rows = led(bench)
-    told = [rows[rows[:, 1] == motor][-1, 3] for motor in range(4)]
-    assert told == [*places[:3], 0]
+    reported = [rows[rows[:, 1] == motor][-1, 3] for motor in range(4)]
+    assert reported == [*places[:3], 0]
 
 
 @pytest.mark.parametrize("ms", [500, 1500, 2100])  # before we reset it, after that, after twice
@@ -537,8 +537,8 @@ def test_each_object_that_a_drive_refuses_is_named(bench):
         drive.refuses, bench.said = (number, sub), b""
         bench.order("reset")
         bench.run(100)
-        told = said_by(bench, DriveTrouble)[-1]
-        assert told == DriveTrouble(4, Trouble.REFUSED, number, 0x08000020)
+        reported = said_by(bench, DriveTrouble)[-1]
+        assert reported == DriveTrouble(4, Trouble.REFUSED, number, 0x08000020)
         assert drive.nmt.state != "OPERATIONAL"
     assert drive.history == []
 
@@ -593,8 +593,8 @@ def test_a_drive_that_counts_from_elsewhere_once_it_has_current_is_named(bench, 
     bench.drives[3].holds = slow
     enable(bench)
     assert (bench.state, bench.faults & Fault.FOLLOWING) == (State.OFF, Fault.FOLLOWING)
-    told = said_by(bench, DriveTrouble)[-1]
-    assert (told.motor, told.kind) == (2, Trouble.ASTRAY)
+    reported = said_by(bench, DriveTrouble)[-1]
+    assert (reported.motor, reported.kind) == (2, Trouble.ASTRAY)
     at, _ = travel(led(bench), 1)
     assert at[-1] - at[0] <= 6
     assert all(each.state == "switch on disabled" for each in bench.drives)

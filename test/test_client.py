@@ -59,8 +59,8 @@ def check_the_command(graph):
     record.tasks.clear()
     assert graph.observer.until(lambda: "running" in record.states, 30)
     process.send_signal(signal.SIGINT)
-    said, problem = process.communicate(timeout=30)
-    assert process.returncode == 1, (said, problem)
+    output, problem = process.communicate(timeout=30)
+    assert process.returncode == 1, (output, problem)
     assert problem.startswith("plate: aborted")
     assert "canceled" in problem
     assert graph.observer.until(lambda: "canceled" in record.states[-1], 5)

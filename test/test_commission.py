@@ -58,8 +58,8 @@ def drive_of(network, node, **of_eds):
 
         def now(self, index, **_):
             status = STATUS[self.state] & (0xFFFF if self.remote else ~0x200)
-            told = {0x6041: status, 0x6064: round(self.position)}
-            return told.get(index)
+            reported = {0x6041: status, 0x6064: round(self.position)}
+            return reported.get(index)
 
     drive = Told(network, node, **of_eds)
     dictionary = drive.object_dictionary
@@ -176,9 +176,9 @@ def test_to_check_only_reads(bench, rig_file, capsys):
     assert {(i & 0x780, data[0]) for _, i, data in bench.sent} == {(SDO, 0x40)}
     assert not bench.asked
     assert rig_file.read_bytes() == before
-    said = capsys.readouterr().out
-    assert "node 3: device type 20192h, vendor 1h, serial 703, position 900000, " in said
-    assert "WRONG" not in said
+    output = capsys.readouterr().out
+    assert "node 3: device type 20192h, vendor 1h, serial 703, position 900000, " in output
+    assert "WRONG" not in output
 
 
 def put(drive, index, sub, value):
@@ -246,9 +246,9 @@ def test_swapped_serial_numbers(bench, rig_file, capsys):
     rig_file.write_text(text, encoding="utf-8")
     assert bench.run(rig_file) == 1
     assert not bench.asked  # before it is mended nothing is moved
-    said = capsys.readouterr().out
+    output = capsys.readouterr().out
     text = "node 2 has serial 702, allowed: 703; the serial number of the rig file is at node 3"
-    assert f"WRONG: motor_2: {text}" in said
+    assert f"WRONG: motor_2: {text}" in output
 
 
 # Motions and writing
@@ -281,8 +281,8 @@ def test_drives_are_identified_measured_and_written(bench, rig_file, capsys):
     assert max(abs(place) for _, place in bench.reached) < 0.55e-3
     assert all_off(bench)
     assert {d.value(0x1016, 1) for d in bench.drives} == {0}  # they do not miss us
-    told = [data for at, i, data in bench.sent if i == RPDO + 2 and data[0] == 15]
-    targets = [int.from_bytes(data[2:], "little", signed=True) for data in told]
+    reported = [data for at, i, data in bench.sent if i == RPDO + 2 and data[0] == 15]
+    targets = [int.from_bytes(data[2:], "little", signed=True) for data in reported]
     steps = [b - a for a, b in pairwise(targets)]
     assert targets[0] == PLACES[1]
     assert 50 < max(map(abs, steps)) < 1e4 * 1.2 * 6.3e-3  # counts in 10 ms, at 2 Hz
@@ -367,8 +367,8 @@ def test_a_motor_that_does_not_move_is_reported(bench, rig_file, capsys):
     bench.drives[0].jammed = True
     bench.only(1)
     assert bench.run(rig_file) == 1
-    said = capsys.readouterr().out
-    assert "motor_1: travel measured by the drive is +0.000 mm, allowed: at least 0.25 mm" in said
+    output = capsys.readouterr().out
+    assert "motor_1: travel measured by the drive is +0.000 mm, allowed: at least 0.25 mm" in output
     assert all_off(bench)
 
 
@@ -378,9 +378,9 @@ def test_while_a_drive_keeps_its_current_no_other_one_gets_any(bench, rig_file, 
 
     bench.moving(keep)
     assert bench.run(rig_file) == 1
-    said = capsys.readouterr().out
-    assert "error: motor_1: the drive does not switch its current off" in said
-    assert said.count("error: motor_1: the drive has current") == 3  # of the others' turns
+    output = capsys.readouterr().out
+    assert "error: motor_1: the drive does not switch its current off" in output
+    assert output.count("error: motor_1: the drive has current") == 3  # of the others' turns
     assert [drive.enables for drive in bench.drives] == [1, 0, 0, 0]
 
 
@@ -459,8 +459,8 @@ def test_a_host_that_is_late_is_slower_and_makes_no_jump(bench, rig_file):
     gaps = [b - a for a, b in pairwise(synced)]
     assert max(gaps) >= 100
     assert min(gaps) >= 5
-    told = [data for _, i, data in bench.sent if i == RPDO + 1 and data[0] == 15]
-    targets = [int.from_bytes(data[2:], "little", signed=True) for data in told]
+    reported = [data for _, i, data in bench.sent if i == RPDO + 1 and data[0] == 15]
+    targets = [int.from_bytes(data[2:], "little", signed=True) for data in reported]
     steps = [b - a for a, b in pairwise(targets)]
     assert max(abs(b - a) for a, b in pairwise(steps)) < 15
 
@@ -563,7 +563,7 @@ def test_an_empty_bus(capsys, monkeypatch):
     with pytest.raises(SystemExit) as end:
         main()
     assert end.value.code == 1
-    said = capsys.readouterr().out
-    assert said.startswith(
+    output = capsys.readouterr().out
+    assert output.startswith(
         "no node answers on the bus\nWRONG: motor_1: node 1 does not answer, nodes on the bus: none"
     )

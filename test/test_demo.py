@@ -167,9 +167,9 @@ def test_a_run_leaves_results_and_pictures(tmp_path):
     words = ["--scenario", str(scenario), "--method", "B", "--lockstep", "--out", str(tmp_path)]
     records = find_spec("rosbags") is not None  # where ROS is installed, ros2 bag records
     with demo(*words, *(["--record"] if records else []), mark=mark, env=env) as process:
-        said = [(time.monotonic(), line) for line in process.stdout]
+        printed = [(time.monotonic(), line) for line in process.stdout]
         errors = process.stderr.read()
-    output = "".join(line for _, line in said)
+    output = "".join(line for _, line in printed)
     assert process.returncode == 0, output + errors
     assert errors == ""
     assert "To watch: http://127.0.0.1:" in output
@@ -196,7 +196,7 @@ def test_a_run_leaves_results_and_pictures(tmp_path):
     assert (tmp_path / "demo.gif").stat().st_size < 6e6
     if records:
         check_bag(tmp_path / "bag", result)
-    moves = next(at for at, line in said if "The plate moves" in line)
+    moves = next(at for at, line in printed if "The plate moves" in line)
     check_that_no_node_has_loaded_code_since(moves, tmp_path / "loaded", process.pid)
 
 
@@ -212,13 +212,15 @@ def check_bag(folder, result):
     from rosbags.rosbag2 import Reader
 
     with Reader(folder) as bag:
-        said = {c.topic: (c.msgtype, c.msgcount) for c in bag.connections}
-    assert said["/motor_setpoints"] == (
+        reported = {c.topic: (c.msgtype, c.msgcount) for c in bag.connections}
+    assert reported["/motor_setpoints"] == (
         "trajectory_msgs/msg/JointTrajectory",
         pytest.approx(result["motor_setpoints"], abs=3),
     )
-    assert said["/image_raw"][1] > 10
-    assert said["/task_status"][1] >= 2  # latched: also messages published before the subscription
+    assert reported["/image_raw"][1] > 10
+    assert (
+        reported["/task_status"][1] >= 2
+    )  # latched: also messages published before the subscription
 
 
 def test_an_interrupt_leaves_nothing_running(tmp_path):
@@ -347,15 +349,17 @@ def test_a_failure_is_reported_before_the_nodes_end(monkeypatch, capsys):
     """One that is frozen is waited for then, for ten seconds."""
     why = "aborted after 5.0 s: the solver no longer publishes diagnostics"
     record = SimpleNamespace(ended=True, states=[why])
-    told = []
-    observer = SimpleNamespace(record=record, until=lambda *_: told.append(capsys.readouterr().out))
+    reported = []
+    observer = SimpleNamespace(
+        record=record, until=lambda *_: reported.append(capsys.readouterr().out)
+    )
     monkeypatch.setattr("graph.demo.progress", lambda *_: "progress")
     plan = SimpleNamespace(
         scenario=SimpleNamespace(time_limit_s=1.0, task=None),
         options=SimpleNamespace(lockstep=False),
     )
     watch_task(plan, observer, 0.0)
-    assert why in told[0]
+    assert why in reported[0]
 
 
 def test_a_frozen_planner_is_named_within_two_seconds(monkeypatch, capsys):

@@ -34,8 +34,8 @@ def test_the_motors_are_where_the_drives_have_brought_them(desk):
     passed(desk, 400)
     desk.to_device.sent(HELLO, desk.now)
     passed(desk, 50)
-    said = Reader().fed(desk.to_host.arrived(desk.now))[1]
-    stop = [m for m in (parse(p).message for p in said) if isinstance(m, Telemetry)][-1].stop
+    reported = Reader().fed(desk.to_host.arrived(desk.now))[1]
+    stop = [m for m in (parse(p).message for p in reported) if isinstance(m, Telemetry)][-1].stop
     desk.to_device.sent(say(101, Enable(stop)), desk.now)
     passed(desk, 900)
     assert (desk.state, desk.faults) == (State.READY, 0)

@@ -176,7 +176,7 @@ def test_a_late_tick_moves_the_plate_by_two_milliseconds(device, late):
     assert (done.state, done.faults) == (State.PLAYING, Fault.NONE)
     # In a late tick, the table's time advances by 2 ms: the played motion is otherwise the same.
     in_time = run(device, *PLAYING, *alive(0.5))
-    begin, wanted = (
+    begin, expected = (
         np.flatnonzero(np.any(d.setpoints[:, 2] != 0, axis=1))[0] for d in (done, in_time)
     )
     passed = np.minimum(np.diff(done.times[begin:]), 2e-3)
@@ -185,7 +185,7 @@ def test_a_late_tick_moves_the_plate_by_two_milliseconds(device, late):
     whole = np.flatnonzero(ticks % 1 == 0)
     np.testing.assert_allclose(
         done.setpoints[begin + 1 :, 0][whole],
-        in_time.setpoints[wanted + ticks[whole].astype(int), 0],
+        in_time.setpoints[expected + ticks[whole].astype(int), 0],
         atol=2e-7,
     )
 
@@ -200,8 +200,8 @@ def test_a_jammed_plate_is_a_fault(device):
     assert np.all(miss[-3:] > 0.003)
     runs = np.convolve(miss[:-1] > 0.003, np.ones(3), "valid")
     assert not np.any(runs == 3)
-    told = max(p.message.following_m for p in done.said if isinstance(p.message, Telemetry))
-    assert 0.003 < told < STROKE_M
+    reported = max(p.message.following_m for p in done.said if isinstance(p.message, Telemetry))
+    assert 0.003 < reported < STROKE_M
 
 
 def jam_time(device) -> float:
@@ -212,17 +212,17 @@ def test_a_small_or_short_following_error_is_reported_and_is_no_fault(device):
     small = [*READY, upload(1, wave(0.0014), 110), UPLOAD_S, "jam 1", *alive(0.1)]
     done = run(device, *small)
     assert (done.state, done.faults) == (State.PLAYING, Fault.NONE)
-    told = [p.message.following_m for p in done.said if isinstance(p.message, Telemetry)]
-    assert 0.001 < max(told) < 0.003
-    assert told[1] == 0
+    reported = [p.message.following_m for p in done.said if isinstance(p.message, Telemetry)]
+    assert 0.001 < max(reported) < 0.003
+    assert reported[1] == 0
     # Beyond it for one tick or two, again and again
     short: list[bytes | float | str] = [*PLAYING]
     for _ in range(40):
         short += ["jam 1", 0.006, "jam 0", 0.001, say(1, Heartbeat(1))]
     done = run(device, *short)
     assert (done.state, done.faults) == (State.PLAYING, Fault.NONE)
-    told = [p.message.following_m for p in done.said if isinstance(p.message, Telemetry)]
-    assert max(told) > 0.003
+    reported = [p.message.following_m for p in done.said if isinstance(p.message, Telemetry)]
+    assert max(reported) > 0.003
 
 
 def test_the_way_home_is_watched_too(device):
@@ -235,8 +235,8 @@ def test_following_is_not_watched_where_the_rig_gives_no_limit(device):
     orders = ordered(*PLAYING, "jam 1", *alive(0.2))
     done = heard(device(orders, "60", "100", "200", "0"))
     assert (done.state, done.faults) == (State.PLAYING, Fault.NONE)
-    told = max(p.message.following_m for p in done.said if isinstance(p.message, Telemetry))
-    assert told > 0.005
+    reported = max(p.message.following_m for p in done.said if isinstance(p.message, Telemetry))
+    assert reported > 0.005
 
 
 @pytest.mark.parametrize("place", [0.01, -0.0099, 1e-9])
@@ -256,8 +256,8 @@ def test_a_plate_that_is_where_it_cannot_be_is_not_moved(device, place):
     assert not len(done.setpoints)
     assert (done.state, done.faults, done.stop) == (State.OFF, Fault.LIMIT, BOOT + 1)
     # Whatever the sensors report, telemetry can be read, and shows that the motors are off.
-    told = [p.message for p in done.said if isinstance(p.message, Telemetry)]
-    assert (told[-1].state, told[-1].faults) == (State.OFF, Fault.LIMIT)
+    reported = [p.message for p in done.said if isinstance(p.message, Telemetry)]
+    assert (reported[-1].state, reported[-1].faults) == (State.OFF, Fault.LIMIT)
 
 
 CHECK = """

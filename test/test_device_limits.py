@@ -197,9 +197,9 @@ def test_the_simulator_keeps_the_limits_for_all_requests(program):
         assert simulated(orders, *heat) == printed
         done = heard(printed)
         assert_bounded(done)
-        told = [p.message for p in done.said if isinstance(p.message, Telemetry)]
-        states |= {m.state for m in told}
-        for m in told:
+        reported = [p.message for p in done.said if isinstance(p.message, Telemetry)]
+        states |= {m.state for m in reported}
+        for m in reported:
             faults |= m.faults
         statuses |= set(done.answers().values())
         count += len(done.times)

@@ -63,8 +63,8 @@ def test_a_cycle_goes_round_and_after_a_pulled_plug_a_person_enables(tmp_path):
     states: list[JointState] = []
     peer.create_subscription(JointTrajectory, "motor_motion", motions.append, 50)
     peer.create_subscription(JointState, "motor_states", states.append, DATA)
-    said = [DriverStatus()]
-    peer.create_subscription(DriverStatus, "driver_status", said.append, LATCHED)
+    reported = [DriverStatus()]
+    peer.create_subscription(DriverStatus, "driver_status", reported.append, LATCHED)
     cycles = peer.create_publisher(JointTrajectory, "plate_cycle", DATA)
     enabler = peer.create_client(SetBool, "enable")
     for each in (driver, peer):
@@ -87,7 +87,7 @@ def test_a_cycle_goes_round_and_after_a_pulled_plug_a_person_enables(tmp_path):
         return False
 
     def ready() -> bool:
-        return said[-1].state == DriverStatus.READY
+        return reported[-1].state == DriverStatus.READY
 
     def whole(msg: JointTrajectory) -> bool:
         return len(msg.points) == 33 and any(msg.points[16].positions)

@@ -96,9 +96,9 @@ def test_a_stop_is_not_undone(device, way):
     assert tried.state is State.OFF
     # Current was switched on once, by the one Enable that was right, and off once.
     assert [on for _, on in tried.switched] == [True, False]
-    told = [p.message for p in tried.said if isinstance(p.message, Telemetry)]
-    assert told[-1].stop == tried.stop
-    assert told[-1].state is State.OFF
+    reported = [p.message for p in tried.said if isinstance(p.message, Telemetry)]
+    assert reported[-1].stop == tried.stop
+    assert reported[-1].state is State.OFF
 
 
 @pytest.mark.parametrize("way", sorted(set(WAYS) - {"the fault is still there"}))

@@ -19,9 +19,9 @@ def spoken():
 
 
 def test_every_message_is_one_of_ours():
-    said = "\n".join(spoken())
+    reported = "\n".join(spoken())
     blocks = re.findall(r"^```text\n(.*?)^```$", PAGE, re.DOTALL | re.MULTILINE)
     assert len(blocks) > 8
     pieces = [piece for block in blocks for piece in re.split(r"\.\.\.|\n", block)]
     pieces = [piece.strip() for piece in pieces if len(piece.strip()) >= SHORTEST]
-    assert [piece for piece in pieces if piece not in said] == []
+    assert [piece for piece in pieces if piece not in reported] == []

@@ -66,9 +66,9 @@ def test_bytes_are_those_of_the_examples(device):
     assert run(device, host, host[:-1] + b"\xff\0", 0.02).refused == 1
     done = run(device, host, 0.02)
     assert done.refused == 0
-    [told] = [p.message for p in done.said if isinstance(p.message, Capabilities)]
+    [reported] = [p.message for p in done.said if isinstance(p.message, Capabilities)]
     limits = (float(np.float32(0.01)), 1.0, 100.0, 200.0, 100.0, float(np.float32(0.003)))
-    assert told == Capabilities(VERSION, 0x12345678, 0xCAFE, 4, 512, 8, 250, *limits, 10_000)
+    assert reported == Capabilities(VERSION, 0x12345678, 0xCAFE, 4, 512, 8, 250, *limits, 10_000)
     assert done.answers() == {
         3: Status.DONE, 4: Status.DONE, 5: Status.DONE, 6: Status.DONE,
         7: Status.DONE, 256: Status.DONE, 257: Status.DONE, 258: Status.WRONG_STATE,
@@ -97,11 +97,11 @@ def test_table_is_played_and_taken_over_at_the_boundary(device):
         for order, tolerance in ((0, 1e-8), (1, 1e-5), (2, 1e-2)):
             expected = spline(knots)(t, nu=order)
             np.testing.assert_allclose(done.setpoints[part, order], expected, atol=tolerance)
-    told = [p.message for p in done.said if isinstance(p.message, Telemetry)]
-    assert {m.table for m in told} == {0, 1, 2}
-    assert {m.waiting for m in told} == {0, 2}
-    assert max(abs(np.diff([m.device_us for m in told]) - 10_000)) == 0
-    for m in told[-20:]:
+    reported = [p.message for p in done.said if isinstance(p.message, Telemetry)]
+    assert {m.table for m in reported} == {0, 1, 2}
+    assert {m.waiting for m in reported} == {0, 2}
+    assert max(abs(np.diff([m.device_us for m in reported]) - 10_000)) == 0
+    for m in reported[-20:]:
         # Measured at the start of the tick: the setpoints of the previous tick.
         tick = np.argmin(abs(done.times - m.device_us * 1e-6)) - 1
         np.testing.assert_allclose(m.position, done.setpoints[tick, 0], rtol=1e-6)
@@ -113,9 +113,9 @@ def test_what_waits_is_replaced_by_a_newer_table_once_that_is_whole(device, whol
     last = b"".join(frames if whole else frames[:-1])
     orders = [*READY, upload(1, GENTLE, 110, 9), 0.13, upload(2, wave(0.002, phase=1.0), 210)]
     done = run(device, *orders, UPLOAD_S, last, *alive(0.2))
-    told = [p.message for p in done.said if isinstance(p.message, Telemetry)]
-    assert {m.table for m in told} == ({0, 1, 3} if whole else {0, 1, 2})
-    assert {m.waiting for m in told} == ({0, 2, 3} if whole else {0, 2})
+    reported = [p.message for p in done.said if isinstance(p.message, Telemetry)]
+    assert {m.table for m in reported} == ({0, 1, 3} if whole else {0, 1, 2})
+    assert {m.waiting for m in reported} == ({0, 2, 3} if whole else {0, 2})
 
 
 def test_repeats_are_counted_and_the_plate_rests_by_itself(device):
@@ -172,8 +172,8 @@ def test_brakes_within_a_cycle_and_goes_home(device, cause):
     braking = [m.device_us * 1e-6 for m in states if m.state is State.BRAKING and m.table]
     assert 0.079 <= braking[-1] - braking[0] <= PERIOD_S
     if cause == "silence":
-        heard = [p.message.device_us * 1e-6 for p in done.said if isinstance(p.message, Pulse)]
-        assert 0 < braking[0] - heard[-1] - SILENCE_S <= 0.012
+        received = [p.message.device_us * 1e-6 for p in done.said if isinstance(p.message, Pulse)]
+        assert 0 < braking[0] - received[-1] - SILENCE_S <= 0.012
     after = [m for m in states if m.device_us * 1e-6 > braking[-1] + 0.02]
     assert {m.table for m in after} == {0}
     homeward = done.setpoints[done.times > braking[-1] + 0.02]

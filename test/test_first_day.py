@@ -20,10 +20,12 @@ def test_its_commands_run(tmp_path):
 
 
 def test_buttons_and_checks_that_it_names_are_on_the_page():
-    said = "".join(path.read_text(encoding="utf-8") for path in STATIC.rglob("*.[jh][st]*"))
+    reported = "".join(path.read_text(encoding="utf-8") for path in STATIC.rglob("*.[jh][st]*"))
     buttons = re.findall(r"[Pp]ress \*([^*]+)\*", TEXT)
     assert len(buttons) >= 6
-    assert [name for name in buttons if f'"{name}"' not in said and f">{name}<" not in said] == []
+    assert [
+        name for name in buttons if f'"{name}"' not in reported and f">{name}<" not in reported
+    ] == []
 
 
 def test_commands_of_plate_that_it_names_exist():

@@ -376,9 +376,9 @@ def test_a_page_that_ends_again_and_again_is_given_up_but_not_one_that_seldom_do
     last = MAX_ENDS - 1
     for period_s, given_up in ((WITHIN_S / last, True), (1.01 * WITHIN_S / last, False)):
         ends = Ends()
-        said = [ends.too_many(period_s * k) for k in range(3 * MAX_ENDS)]
-        assert not any(said[:last])
-        assert said[last:] == [given_up] * (len(said) - last)
+        reported = [ends.too_many(period_s * k) for k in range(3 * MAX_ENDS)]
+        assert not any(reported[:last])
+        assert reported[last:] == [given_up] * (len(reported) - last)
 
 
 # The stored results of a run

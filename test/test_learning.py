@@ -43,7 +43,7 @@ def test_errors_fall_from_over_a_half_to_below_two_per_cent(learned):
 
 def test_a_new_cycle_every_200_ms_is_right_too(learned):
     response, _ = learned
-    told, corrected = Plate(HUNG, 0), Plate(HUNG, 0)
+    reported, corrected = Plate(HUNG, 0), Plate(HUNG, 0)
     t = np.linspace(0, 0.2, 400)
     miss = np.zeros(2)
     size = 0.0
@@ -51,7 +51,9 @@ def test_a_new_cycle_every_200_ms_is_right_too(learned):
         cycle = random_cycle(100 + seed)
         speed = cycle.twist(t)
         size += np.sum(speed[:, :2] ** 2)
-        for k, (plate, command) in enumerate(((told, cycle), (corrected, response.command(cycle)))):
+        for k, (plate, command) in enumerate(
+            ((reported, cycle), (corrected, response.command(cycle)))
+        ):
             miss[k] += np.sum((plate.play(command).twist(t) - speed)[:, :2] ** 2)
     raw, left = np.sqrt(miss / size)
     assert raw > 0.5

@@ -57,11 +57,11 @@ def test_its_request_is_the_request_of_its_parts():
     whole."""
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
     whole, parts = settings["project"], settings["tool"]["setuptools"]["packages"]["find"]["where"]
-    asked, versions = set(), set()
+    requested, versions = set(), set()
     for path in ROOT.glob("src/*/setup.py"):
         text = path.read_text(encoding="utf-8")
         if str(path.parent.relative_to(ROOT)) in parts:
-            asked |= set(eval(text.split("install_requires=")[1].split("]")[0] + "]"))
+            requested |= set(eval(text.split("install_requires=")[1].split("]")[0] + "]"))
         versions.add(text.split('version="')[1].split('"')[0])
-    assert asked - {"plate_core"} == set(whole["dependencies"])
+    assert requested - {"plate_core"} == set(whole["dependencies"])
     assert versions == {whole["version"]}

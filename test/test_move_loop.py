@@ -50,12 +50,12 @@ def test_a_part_follows_a_target_that_is_dragged():
 
 
 def test_a_target_on_another_part_pushes_it_aside_and_reports_it():
-    said, where = set(), {"now": (0.0, 0.0)}
+    reported, where = set(), {"now": (0.0, 0.0)}
     for moment in dragged(lambda t: where["now"], seed=23):
         if moment.time < 1:
             where["now"] = tuple(moment.parts.position[moment.parts.ids.index("grey_2")].tolist())
-        said.add(moment.progress.text.partition("; ")[2])
+        reported.add(moment.progress.text.partition("; ")[2])
         if moment.time > 3 and np.max(moment.error_m, initial=1.0) < 4e-3:
             break
-    assert "grey_2 is on the target of black_1" in said
+    assert "grey_2 is on the target of black_1" in reported
     assert np.max(moment.error_m) < 4e-3

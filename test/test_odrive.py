@@ -124,9 +124,9 @@ def test_nothing_has_current_before_an_enable(bench):
     live(bench, 300)
     assert [drive.history for drive in bench.drives] == [[]] * 4
     assert {state for *_, state in states(bench)} <= {1}
-    told = said_by(bench, Telemetry)
-    assert {t.faults for t in told} == {Fault.NO_HOME}
-    assert {t.stop for t in told} == {bench.stop}
+    reported = said_by(bench, Telemetry)
+    assert {t.faults for t in reported} == {Fault.NO_HOME}
+    assert {t.stop for t in reported} == {bench.stop}
 
 
 def test_current_comes_without_a_jump_once_the_watchdogs_have_bitten(bench):
@@ -313,9 +313,9 @@ def test_a_fault_switches_all_currents_off_and_is_reported(
     assert bench.state == State.OFF
     assert bench.stop != stop
     assert fault in Fault(bench.faults)
-    told = states(bench, since)
-    assert {state for *_, state in told} == {1}
-    assert {m for at, m, _ in told if at <= since + most_ms} == {0, 1, 2, 3}
+    reported = states(bench, since)
+    assert {state for *_, state in reported} == {1}
+    assert {m for at, m, _ in reported if at <= since + most_ms} == {0, 1, 2, 3}
     assert all(d.state == 1 for d in bench.drives if not d.off)
     found = said_by(bench, DriveTrouble)
     assert (found[-1].motor, found[-1].kind) == (motor, kind)

@@ -83,10 +83,10 @@ def test_the_graph_outlives_its_page_which_comes_again():
             assert any(line.startswith("It is restarted") for line in run.stderr)
             asyncio.run(look(url))
             kill_node(mark, "planner")
-            _, said = run.communicate(timeout=TIMEOUT_S)
+            _, output = run.communicate(timeout=TIMEOUT_S)
         finally:
             run.kill()
-    assert "planner was ended by SIGKILL" in said
+    assert "planner was ended by SIGKILL" in output
     assert run.returncode == 1
 
 

@@ -49,8 +49,8 @@ def page(opened, url):
     page, complaints, called = opened
     wait_for(page, "known.parts?.parts.length > 0 && known.task && known.driver?.state === 'ready'")
     yield page
-    said, complaints[:] = [*complaints], []
-    assert said == []
+    reported, complaints[:] = [*complaints], []
+    assert reported == []
     assert [each for each in called if not each.startswith((url, "blob:"))] == []
 
 

@@ -113,8 +113,8 @@ def _folder(tmp_path, monkeypatch):
 
 def test_a_file_with_another_checksum_is_not_kept(folder, monkeypatch):
     monkeypatch.setattr(fetch, "_read_photograph", lambda photograph: b"other")
-    wanted = photograph(sha256="0" * 64)
-    assert fetch.fetch_photograph(wanted).startswith("sha256 is d9298a10")
+    expected = photograph(sha256="0" * 64)
+    assert fetch.fetch_photograph(expected).startswith("sha256 is d9298a10")
     assert not list(folder.iterdir())
     right = photograph(sha256=hashlib.sha256(b"other").hexdigest())
     assert fetch.fetch_photograph(right) == ""
@@ -131,9 +131,9 @@ def test_without_a_network_missing_files_are_reported_and_the_rest_continues(
     monkeypatch.setattr(fetch, "load_photographs", lambda: [photograph(), photograph()])
     monkeypatch.setattr("sys.argv", ["fetch"])
     assert fetch.main() == 0
-    told = capsys.readouterr()
-    assert told.err.splitlines() == ["missing: discs: no network"] * 2
-    assert told.out.startswith("0 of 2 photographs ")
+    output = capsys.readouterr()
+    assert output.err.splitlines() == ["missing: discs: no network"] * 2
+    assert output.out.startswith("0 of 2 photographs ")
 
 
 DISCS = [disc(40, 40, 12), disc(90, 50, 15), disc(60, 100, 10), disc(79, 100, 10, touching=True)]

@@ -70,10 +70,10 @@ def test_a_part_that_fell_off_leaves_a_cross_where_it_was(dropped):
     assert near(at(after, LEFT), class_colour("grey"))
     for canvas in (before, after):
         assert near(at(canvas, (0.0, 0.0)), part_colour("black"))
-    told = [one.text for one in samples(dropped, ARROWS, after)]
-    assert "fell off here" in told
-    assert "mean force; longest arrows: 0.1 mu mg or more (a part's friction)" in told
-    assert "100 mm" in told
+    reported = [one.text for one in samples(dropped, ARROWS, after)]
+    assert "fell off here" in reported
+    assert "mean force; longest arrows: 0.1 mu mg or more (a part's friction)" in reported
+    assert "100 mm" in reported
 
 
 def test_targets_have_the_colour_of_their_class_and_the_plate_has_none(dropped):

@@ -36,7 +36,7 @@ FEW = {"restarts": 10}
 
 def acts(robot, until, answer_at, step=0.05):
     """Step a robot up to a time. It gets a reply after its request, but not before `answer_at`."""
-    found, asked = [], False
+    found, requested = [], False
     for now in np.arange(0, until, step):
         while True:
             due = robot.due
@@ -44,9 +44,9 @@ def acts(robot, until, answer_at, step=0.05):
             if act is None:
                 break
             found.append((act, due))
-            asked = asked or act is Act.REQUEST
-        if asked and now >= answer_at - 1e-9:
-            robot, asked = robot.after_reply(PLACE, now), False
+            requested = requested or act is Act.REQUEST
+        if requested and now >= answer_at - 1e-9:
+            robot, requested = robot.after_reply(PLACE, now), False
     return robot, found
 
 
@@ -224,13 +224,13 @@ def test_qualify_prints_a_table_and_writes_a_page(monkeypatch, capsys, tmp_path)
     page = tmp_path / "feed.html"
     words = ["--recipe", "feed", "--minutes", "0.1", "--seeds", "1", "--fill", "4,8"]
     assert qualified(monkeypatch, *words, "--robot-cycle", "1", "--page", str(page)) == 0
-    told = capsys.readouterr()
-    lines = [line for line in told.out.splitlines() if re.match(r"\s*\d+  ", line)]
+    output = capsys.readouterr()
+    lines = [line for line in output.out.splitlines() if re.match(r"\s*\d+  ", line)]
     assert [line.split()[0] for line in lines] == ["4", "8"]
     assert sum("<- best fill" in line for line in lines) == 1
     best = next(line.split() for line in lines if "best" in line)
     assert float(best[1]) >= 0.99 * max(float(line.split()[1]) for line in lines)
-    assert told.err.count("parts per minute") == 2
+    assert output.err.count("parts per minute") == 2
     text = page.read_text(encoding="utf-8")
     assert f"Best fill: {best[0]} parts" in text
     assert "<svg" in text

@@ -202,15 +202,15 @@ def test_what_is_out_of_range_is_refused_with_key_and_range(tmp_path, section, k
 @pytest.fixture(name="asked")
 def _asked(monkeypatch):
     """Keys that the readers ask for, by their place in the file: without its name and numbers."""
-    asked, finish = defaultdict(set), Fields.finish
+    requested, finish = defaultdict(set), Fields.finish
 
     def noting(fields):
         place = re.sub(r"\[\d+\]", "[]", fields.where).partition(": ")[2]
-        asked[place] |= fields._used
+        requested[place] |= fields._used
         finish(fields)
 
     monkeypatch.setattr(Fields, "finish", noting)
-    return asked
+    return requested
 
 
 PLACES = {

@@ -129,10 +129,10 @@ def test_charts_are_drawn_from_their_csv_files_where_nothing_is_measured(
     assert charts.main() == 0
     for name in ("results.md", f"results/{QUICK}.csv", "results/measured.json"):
         assert (tmp_path / "docs" / name).read_text() == (drawn / "docs" / name).read_text()
-    told = capfd.readouterr().err
-    assert "chart sim is omitted: its stored rows have no column 'case'" in told
-    assert "chart vision is omitted: " in told
-    assert f" from {tmp_path / 'docs/results'}: {QUICK}\n" in told
+    output = capfd.readouterr().err
+    assert "chart sim is omitted: its stored rows have no column 'case'" in output
+    assert "chart vision is omitted: " in output
+    assert f" from {tmp_path / 'docs/results'}: {QUICK}\n" in output
 
 
 def test_what_is_not_committed_is_not_published(monkeypatch, capsys):

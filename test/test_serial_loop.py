@@ -60,9 +60,9 @@ def verdict(*setpoints):
 def test_the_judge_sees_what_is_outside(name, row, value):
     at = np.zeros((3, 4))
     at[row, 2] = value * 1.01
-    told = verdict(at)
-    assert getattr(told, name) >= 1.01 * (1 - 1e-9)
-    assert not told.kept
+    reported = verdict(at)
+    assert getattr(reported, name) >= 1.01 * (1 - 1e-9)
+    assert not reported.kept
     assert verdict(np.zeros((3, 4))).kept
 
 
@@ -71,12 +71,12 @@ def test_the_judge_sees_corners_and_forces():
     rig = load_rig()
     spin = 90.0  # rad/s2
     _, _, qdd = motor_state(rig, np.zeros((1, 3)), np.zeros((1, 3)), np.array([[0, 0, spin]]))
-    told = verdict(np.stack([np.zeros(4), np.zeros(4), qdd[0]]))
-    assert told.accel == pytest.approx(spin * np.hypot(*rig.plate.half) / rig.limits.accel)
+    reported = verdict(np.stack([np.zeros(4), np.zeros(4), qdd[0]]))
+    assert reported.accel == pytest.approx(spin * np.hypot(*rig.plate.half) / rig.limits.accel)
     inertia = rig.plate.mass_kg * (rig.plate.length_m**2 + rig.plate.width_m**2) / 12
     lever = [abs(m.point[0] * m.direction[1] - m.point[1] * m.direction[0]) for m in rig.motors]
-    assert told.force * rig.limits.force >= inertia * spin / sum(lever)
-    assert told.force * rig.limits.force <= inertia * spin / min(lever)
+    assert reported.force * rig.limits.force >= inertia * spin / sum(lever)
+    assert reported.force * rig.limits.force <= inertia * spin / min(lever)
 
 
 def test_the_judge_sees_a_jump():

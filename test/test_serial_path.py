@@ -65,13 +65,13 @@ def test_tables_arrive_and_are_played_as_often_as_requested(firmware):
         row = rows[np.argmin(np.abs(rows[:, 0] - (sample.device_s - TICK_S)))]
         np.testing.assert_allclose(sample.position, row[1:5], rtol=1e-6, atol=1e-12)
         assert abs(sample.time - sample.device_s) < 3e-3
-    starts, told = CycleStarts(firmware.now - 0.5), []
+    starts, reported = CycleStarts(firmware.now - 0.5), []
     for sample in measured:
         starts, start, problem = starts.updated(sample, PERIOD, firmware.now)
         assert problem == ""
-        told += [] if start is None else [start]
-    np.testing.assert_allclose(np.diff(told), PERIOD, atol=4e-3)
-    assert len(told) in (round(0.5 / PERIOD), round(0.5 / PERIOD) + 1)
+        reported += [] if start is None else [start]
+    np.testing.assert_allclose(np.diff(reported), PERIOD, atol=4e-3)
+    assert len(reported) in (round(0.5 / PERIOD), round(0.5 / PERIOD) + 1)
     # Eight times, then it rests, with current; the host has sent nothing for that.
     pass_time(firmware, transport, 1.0)
     assert firmware.states[-1] is State.READY
@@ -409,9 +409,9 @@ def test_a_jam_is_reported(firmware):
     pass_time(firmware, transport, 0.5)
     assert not firmware.current
     assert transport.report().reason is DriverReason.FOLLOWING
-    [told] = transport.troubles()
-    assert told.startswith("device has stopped: following (a motor was 3.")
-    assert told.endswith("mm from its setpoint, allowed: 3)")
+    [reported] = transport.troubles()
+    assert reported.startswith("device has stopped: following (a motor was 3.")
+    assert reported.endswith("mm from its setpoint, allowed: 3)")
     assert float(transport.values()["following_error_mm"]) > 3
 
 
@@ -454,8 +454,8 @@ def test_a_clock_that_is_set_once_is_reported_and_stops_nothing(firmware):
     play(firmware, transport, 0.5)
     firmware.order("late 40000")
     play(firmware, transport, 2.5)
-    [told] = transport.troubles()
-    assert told.startswith("the device's clock ran ")
+    [reported] = transport.troubles()
+    assert reported.startswith("the device's clock ran ")
     assert firmware.current
     assert pass_time(firmware, transport, 0.1)[-1].clock_problem == ""
 

@@ -28,10 +28,10 @@ def test_a_set_up_reports_that_it_waits_for_another_one(tmp_path):
             ["bash", script, "--quiet"], env=environment, text=True,
             stdout=subprocess.PIPE, stderr=subprocess.PIPE,
         )  # fmt: skip
-        said = process.stdout.readline()
+        output = process.stdout.readline()
         assert process.poll() is None
     rest, errors = process.communicate(timeout=60)
-    assert (said, rest) == ("set-up: waiting for another set-up of this folder to end\n", "")
+    assert (output, rest) == ("set-up: waiting for another set-up of this folder to end\n", "")
     assert "ROS 'foxy' is sourced" in errors
 
 
@@ -45,10 +45,10 @@ def test_it_reports_the_progress_of_a_step(tmp_path):
         ["bash", "-c", words], cwd=tmp_path, text=True,
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
     )  # fmt: skip
-    said = [process.stdout.readline() for _ in range(3)]
+    output = [process.stdout.readline() for _ in range(3)]
     errors = process.communicate("go on\n", timeout=60)[1]
-    assert said[0] == "set-up: [0 s] compiling all\n"
-    assert all(line.endswith(" s] still compiling [2/3]\n") for line in said[1:])
+    assert output[0] == "set-up: [0 s] compiling all\n"
+    assert all(line.endswith(" s] still compiling [2/3]\n") for line in output[1:])
     assert (process.returncode, errors) == (0, "")
 
 
@@ -159,8 +159,8 @@ def test_on_a_bare_machine_it_names_all_packages_in_one_screen(tmp_path, version
         ["bash", "tools/setup.sh", "--quiet"], cwd=clone, text=True, capture_output=True,
         env={"PATH": str(programs), "HOME": str(tmp_path)},
     )  # fmt: skip
-    wanted = version if python else "3"
-    line = f"sudo apt install g++ python{wanted}-dev python{wanted}-venv"
+    expected = version if python else "3"
+    line = f"sudo apt install g++ python{expected}-dev python{expected}-venv"
     assert lacking.replace("VERSION", version) in done.stderr
     assert line in done.stderr
     assert done.returncode == 1

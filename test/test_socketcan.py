@@ -158,8 +158,8 @@ def test_a_table_is_played_on_the_drives(bench):
         assert np.max(np.abs(np.diff(travel))) <= RIG.limits.speed * 2e-3
         assert set(np.diff(at)) <= {1, 2, 3}  # a tick's frames are seen in it, or in the next one
         assert abs(np.mean(np.diff(at)) - 2) < 0.01
-        wanted = np.max(np.abs(table.q[:, node - 1]))
-        assert abs(np.max(np.abs(travel)) - wanted) < 0.02 * wanted
+        expected = np.max(np.abs(table.q[:, node - 1]))
+        assert abs(np.max(np.abs(travel)) - expected) < 0.02 * expected
         assert travel[-1] == 0  # it was played three times, and rests
     assert bench.transport.report().condition is Condition.READY
     order = bench.transport.stop(cut=True)
@@ -400,6 +400,6 @@ def test_its_delay_can_be_queried(program, monkeypatch, capsys):
     with pytest.raises(SystemExit) as end:
         main()
     assert end.value.code in (0, 1)
-    said = capsys.readouterr().out
-    assert said.startswith("maximum delay of setpoints in each 10 ms: median ")
-    assert "; allowed: 3.00 ms\n" in said
+    output = capsys.readouterr().out
+    assert output.startswith("maximum delay of setpoints in each 10 ms: median ")
+    assert "; allowed: 3.00 ms\n" in output

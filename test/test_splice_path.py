@@ -45,13 +45,13 @@ def table(number: int, off: float = 0.0) -> MotorTable:
 
 def cycle_starts(measured) -> list[tuple[float, float]]:
     """When cycles began, and how long they last [s]."""
-    starts, told = CycleStarts(measured[0].time), []
+    starts, reported = CycleStarts(measured[0].time), []
     for sample in measured:
         period = sample.playing.cycle.period if sample.playing else PERIOD
         starts, began, problem = starts.updated(sample, period, sample.time)
         assert problem == ""
-        told += [] if began is None or not sample.playing else [(began, period)]
-    return told
+        reported += [] if began is None or not sample.playing else [(began, period)]
+    return reported
 
 
 def test_plate_goes_on_in_motion_and_rests_when_nothing_comes(firmware):

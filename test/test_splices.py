@@ -473,7 +473,7 @@ def test_nothing_jumps_whatever_comes_and_when(program):
         done = heard(printed)
         seen += checked(story, done)
         assert done.state is State.OFF
-    wanted = [
+    expected = [
         "joined",
         "brought home",
         "again",
@@ -481,7 +481,7 @@ def test_nothing_jumps_whatever_comes_and_when(program):
         "BRAKING in a tail",
         "BRAKING",
     ]
-    assert min(seen[what] for what in wanted) > 5, seen
+    assert min(seen[what] for what in expected) > 5, seen
     refused = [Status.JUMP, Status.LIMIT, Status.REPEATS, Status.WRONG_TIMES, Status.WRONG_STATE]
     assert min(seen[status.name] for status in refused) > 0, seen
     assert seen["DONE"] > 50

@@ -82,10 +82,10 @@ def test_the_plate_follows_the_stream_to_its_end(device):
     assert set(done.answers().values()) == {Status.DONE}
     assert (done.state, done.faults) == (State.READY, Fault.NONE)
     moving = np.flatnonzero(np.max(np.abs(done.setpoints[:, 1]), axis=1) > 1e-4)
-    wanted, begin = spline(wave(0.002)), done.times[moving[0]]
+    expected, begin = spline(wave(0.002)), done.times[moving[0]]
     t = done.times[:, None] - begin + np.arange(0, 0.03, 1e-3)  # it had begun a little before
     inside = (t[:, 0] > 0) & (t[:, -1] < 30 * PERIOD_S)
-    miss = np.max(np.abs(done.setpoints[:, :1] - wanted(t % PERIOD_S))[inside], axis=(0, 2))
+    miss = np.max(np.abs(done.setpoints[:, :1] - expected(t % PERIOD_S))[inside], axis=(0, 2))
     assert np.min(miss) < 1e-7
     assert np.sum(inside) > 2900
     assert limits_kept(done.setpoints)
@@ -100,8 +100,8 @@ def test_a_stream_that_stops_brakes_on_the_path_that_is_left(device):
     steps = np.diff(done.setpoints[:, 0], axis=0)
     assert np.max(np.abs(steps)) < 1.01 * SPEED * 1e-3  # nothing jumps
     assert np.max(np.abs(done.setpoints[-1, 0])) < 1e-6  # at home
-    told = [p.message.table for p in done.said if isinstance(p.message, Telemetry)]
-    assert told[-1] == 0
+    reported = [p.message.table for p in done.said if isinstance(p.message, Telemetry)]
+    assert reported[-1] == 0
 
 
 @pytest.mark.parametrize(
@@ -157,8 +157,8 @@ def test_repeated_and_missing_messages(device):
     parts = [say(200 + i, Knots(1, 4 * i, knots[4 * i : 4 * i + 4])) for i in range(30)]
     orders = [say(110, Begin(1, 0, 0)), parts[0], parts[0], parts[2], parts[1], parts[2]]
     done = run(device, *READY, *orders, *parts[3:20], say(111, Commit(1, 1)), 0.05)
-    said = [p.message for p in done.said if p.message.__class__.__name__ == "Acknowledgement"]
-    about = [m.status for m in said if m.sequence == 202]
+    reported = [p.message for p in done.said if p.message.__class__.__name__ == "Acknowledgement"]
+    about = [m.status for m in reported if m.sequence == 202]
     assert about == [Status.INCOMPLETE, Status.DONE]
     assert done.answers()[111] is Status.DONE
     assert done.state is State.PLAYING

@@ -17,9 +17,9 @@ MORE = 3
 
 @pytest.mark.parametrize("scenario", ["sort_10", "assemble_8"])
 def test_unknown_things_stay_on_the_plate_and_clear_of_its_edge(scenario, monkeypatch):
-    wanted, rig = load_scenario(scenario), load_rig()
-    first = wanted.parts[0]
-    there = replace(wanted, parts=(replace(first, count=first.count + MORE), *wanted.parts[1:]))
+    expected, rig = load_scenario(scenario), load_rig()
+    first = expected.parts[0]
+    there = replace(expected, parts=(replace(first, count=first.count + MORE), *expected.parts[1:]))
     world = {}
 
     def simulation(rig, _, *args, **kwargs):
@@ -40,7 +40,7 @@ def test_unknown_things_stay_on_the_plate_and_clear_of_its_edge(scenario, monkey
     monkeypatch.setattr(loop, "Simulation", simulation)
     monkeypatch.setattr("plate_vision.vision.update", update)
     least = np.inf
-    for moment in loop.run(loop.Setup(wanted, seed=4, effort=FEW_STARTS), rig):
+    for moment in loop.run(loop.Setup(expected, seed=4, effort=FEW_STARTS), rig):
         rows = [moment.world.ids.index(name) for name in world["unknown"]]
         away = rig.plate.half - np.abs(moment.world.position[rows])
         least = min(least, float(away.min()))

@@ -55,7 +55,7 @@ class SpeedBounds(NamedTuple):
     stroke : float
         Bound by the stroke of the motors and the acceleration of the plate.
     speed : float
-        Bound by the speed of the motors [m/s].
+        Bound by the speed of the motors.
     """
 
     accel: float

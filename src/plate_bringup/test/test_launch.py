@@ -204,8 +204,8 @@ def test_launch_files_start_the_same_list(stand_in, file, names, files):
     for name, node in nodes.items():
         assert (node.package, node.executable) == (listed[name].package, listed[name].executable)
         assert [Path(path).name for path in node.parameters[:-1]] == files
-        wanted = {"method": "rotations"} if name == "solver" else {}
-        assert node.parameters[-1] == wanted  # omitted arguments have the values of the files
+        expected = {"method": "rotations"} if name == "solver" else {}
+        assert node.parameters[-1] == expected  # omitted arguments have the values of the files
 
 
 def test_arguments_become_parameters_topics_and_a_recorder(stand_in, tmp_path):
@@ -374,8 +374,8 @@ def test_a_recorder_has_a_bag_of_its_own_and_reports_its_end(stand_in):
     assert bags == ["left", "cell_left", "right"]
     running, over = (types.SimpleNamespace(is_shutdown=flag) for flag in (False, True))
     ended = types.SimpleNamespace(returncode=2)
-    (told,) = recorder.on_exit(ended, running)
-    assert "no messages are recorded any more: the recorder ended with exit code 2" in told.msg
+    (reported,) = recorder.on_exit(ended, running)
+    assert "no messages are recorded any more: the recorder ended with exit code 2" in reported.msg
     assert recorder.on_exit(ended, over) is None
 
 
@@ -465,8 +465,8 @@ def test_a_node_that_ends_takes_the_others_down_and_its_last_words_are_shown(sta
     nodes, _ = started("closed_loop")
     ended = types.SimpleNamespace(returncode=2)
     running, over = (types.SimpleNamespace(is_shutdown=flag) for flag in (False, True))
-    told, shutdown = nodes["solver"].on_exit(ended, running)
-    assert told.msg == shutdown.reason == "solver ended with exit code 2: "
+    reported, shutdown = nodes["solver"].on_exit(ended, running)
+    assert reported.msg == shutdown.reason == "solver ended with exit code 2: "
     assert shutdown.kind == "Shutdown"
     assert nodes["solver"].on_exit(ended, over) is None
 
@@ -481,8 +481,8 @@ def test_the_last_line_is_that_of_either_stream(stand_in):
         for stream, text in (("on_stderr", b"one\n"), ("on_stdout", b"two\nthree\n\n")):
             getattr(listen, stream)(types.SimpleNamespace(text=text))
             running = types.SimpleNamespace(is_shutdown=False)
-            told, _ = node.on_exit(types.SimpleNamespace(returncode=1), running)
-            assert told.msg.endswith(text.decode().split()[-1])
+            reported, _ = node.on_exit(types.SimpleNamespace(returncode=1), running)
+            assert reported.msg.endswith(text.decode().split()[-1])
 
 
 def test_the_driver_talks_to_the_simulated_device(stand_in):

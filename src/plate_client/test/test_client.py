@@ -103,19 +103,19 @@ def _silent(monkeypatch):
 def test_a_planner_without_feedback_is_not_waited_for(silent):
     plate, task = silent
     task.send()
-    said = []
+    reported = []
     with pytest.raises(PlateError, match="the planner has sent no message for 2 s"):
-        plate.wait(task, meanwhile=lambda: said.append(task))
-    rounds = len(said)
+        plate.wait(task, meanwhile=lambda: reported.append(task))
+    rounds = len(reported)
     assert rounds * client.AGAIN_S == pytest.approx(client.TIMEOUT_S)
 
     def speak():
-        task.feedbacks += len(said) == rounds + 5
-        said.append(task)
+        task.feedbacks += len(reported) == rounds + 5
+        reported.append(task)
 
     with pytest.raises(PlateError, match="the planner has sent no message"):
         plate.wait(task, meanwhile=speak)
-    assert len(said) > 2 * rounds + 5
+    assert len(reported) > 2 * rounds + 5
 
 
 def test_a_goal_that_is_not_answered_is_sent_again_and_then_given_up(silent):

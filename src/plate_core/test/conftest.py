@@ -9,6 +9,6 @@ def hears():
     lines."""
 
     def until(process, line):
-        return any(said == f"{line}\n" for said in process.stdout)
+        return any(output == f"{line}\n" for output in process.stdout)
 
     return until

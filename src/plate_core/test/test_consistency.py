@@ -192,16 +192,16 @@ def test_parallax_is_reported_while_heights_are_unknown():
     rotation, translation = camera_pose(RIG)
     x, y, high = -rotation.T @ translation
     far = max(np.hypot(cx - x, cy - y) for cx, cy in RIG.plate.corners)
-    told = (
+    reported = (
         f"wrong by up to {1e3 * far * 5e-3 / (high - 5e-3):.2g} mm (in the corner that is "
         f"{1e3 * far:.0f} mm from"
     )
-    said = rig_report(RIG, "a.yaml", [])
-    assert f"{high:.3g} m above the point [{x:.3f}, {y:.3f}]" in said
-    assert says(said, "height_m is 0", "for parts", "5 mm high")
-    assert told in said
-    said = rig_report(replace(RIG, parts=replace(RIG.parts, height_m=0.004)), "a.yaml", [])
-    assert "5 mm high" not in said
+    report_text = rig_report(RIG, "a.yaml", [])
+    assert f"{high:.3g} m above the point [{x:.3f}, {y:.3f}]" in report_text
+    assert says(report_text, "height_m is 0", "for parts", "5 mm high")
+    assert reported in report_text
+    report_text = rig_report(replace(RIG, parts=replace(RIG.parts, height_m=0.004)), "a.yaml", [])
+    assert "5 mm high" not in report_text
     shapes = load_rig("shapes")
     known = {name: replace(part, height_m=0.003) for name, part in shapes.types.items()}
     known["nut"] = shapes.types["nut"]
@@ -209,8 +209,8 @@ def test_parallax_is_reported_while_heights_are_unknown():
 
 
 def test_an_unknown_camera_place_is_reported():
-    said = rig_report(NO_LENS, "a.yaml", [])
-    assert says(said, "position is unknown", "focal_px", "height_m", "too far from")
+    reported = rig_report(NO_LENS, "a.yaml", [])
+    assert says(reported, "position is unknown", "focal_px", "height_m", "too far from")
     high = replace(NO_LENS, camera=replace(NO_LENS.camera, height_m=0.9))
     assert "the lens is 0.9 m above the point" in rig_report(high, "a.yaml", [])
 
@@ -332,10 +332,10 @@ def mixed():
 
 
 def test_a_millimetre_in_units_of_the_drive_is_reported():
-    said = rig_report(load_rig("linear_motors"), "a.yaml", [])
-    assert "motor_2: cia402, node 2: 1 mm along its direction is -1000 counts" in said
-    said = rig_report(load_rig("odrives"), "a.yaml", [])
-    assert "motor_1: odrive, node 1: 1 mm along its direction is +0.025 turns" in said
+    reported = rig_report(load_rig("linear_motors"), "a.yaml", [])
+    assert "motor_2: cia402, node 2: 1 mm along its direction is -1000 counts" in reported
+    reported = rig_report(load_rig("odrives"), "a.yaml", [])
+    assert "motor_1: odrive, node 1: 1 mm along its direction is +0.025 turns" in reported
 
 
 @pytest.mark.parametrize(

@@ -63,18 +63,18 @@ def test_what_is_logged_arrives_in_order_and_to_the_end(tmp_path):
     with talker(20, tmp_path / "said") as node:
         assert appears(tmp_path / "said")
         node.send_signal(signal.SIGINT)
-        _, said = node.communicate(timeout=60)
-    assert [word for word in said.split() if word.isdigit()] == [str(n) for n in range(20)]
+        _, output = node.communicate(timeout=60)
+    assert [word for word in output.split() if word.isdigit()] == [str(n) for n in range(20)]
 
 
 def test_a_crash_reports_its_location(tmp_path):
     with talker(1, tmp_path / "said") as node:
         assert appears(tmp_path / "said")
         node.send_signal(signal.SIGABRT)
-        _, said = node.communicate(timeout=60)
+        _, output = node.communicate(timeout=60)
     assert node.returncode == -signal.SIGABRT
-    assert "Fatal Python error: Aborted" in said
-    assert "in run_node" in said
+    assert "Fatal Python error: Aborted" in output
+    assert "in run_node" in output
 
 
 def test_a_node_without_a_console_works(tmp_path):

@@ -21,17 +21,17 @@ def talker(clock):
     """A node whose simulated clock is stopped, and its received diagnostics."""
     words = ["--ros-args", "-p", "use_sim_time:=true", "-r", "__ns:=/diagnostics_test"]
     rclpy.init(args=words)
-    node, executor, heard = rclpy.create_node("talker"), SteppedExecutor(clock), []
+    node, executor, received = rclpy.create_node("talker"), SteppedExecutor(clock), []
     executor.add_node(node)
-    node.create_subscription(DiagnosticArray, "diagnostics", heard.append, DATA)
-    yield node, heard, executor
+    node.create_subscription(DiagnosticArray, "diagnostics", received.append, DATA)
+    yield node, received, executor
     executor.shutdown()
     node.destroy_node()
     rclpy.shutdown()
 
 
 def test_reports_come_though_simulated_time_stands_still(talker, clock):
-    node, heard, executor = talker
+    node, received, executor = talker
     periods = []
     began = clock.monotonic()
     Diagnostics(
@@ -41,9 +41,9 @@ def test_reports_come_though_simulated_time_stands_still(talker, clock):
         lambda: "plate",
         lambda: periods.append(1),
     )
-    executor.until(lambda: len(heard) >= 2)
+    executor.until(lambda: len(received) >= 2)
     assert clock.monotonic() - began == pytest.approx(2 * DIAGNOSTICS_PERIOD_S)
-    status = heard[-1].status[0]
+    status = received[-1].status[0]
     assert (status.name, status.hardware_id) == ("/diagnostics_test/talker", "plate")
     assert (status.level, status.message) == (b"\x00", "all well")
     assert {item.key: item.value for item in status.values} == {"count": "1", "share": "0.5"}
@@ -71,18 +71,18 @@ def test_diagnostics_are_read_also_those_of_others_but_not_of_other_plates(names
 
 
 def test_a_worse_level_is_reported_at_once_and_only_once(talker):
-    node, heard, executor = talker
+    node, received, executor = talker
     level = [Level.OK]
     reports = []
     Diagnostics(node, lambda now: Finding(level[0], ""), dict, reported=lambda: reports.append(1))
-    executor.until(lambda: len(heard) == 1)
+    executor.until(lambda: len(received) == 1)
     for worse in (Level.WARN, Level.STALE, Level.ERROR):
         level[0], count = worse, len(reports)
-        executor.until(lambda worse=worse: heard[-1].status[0].level == bytes([worse]))
+        executor.until(lambda worse=worse: received[-1].status[0].level == bytes([worse]))
         if len(reports) == count:  # published between two reports, which continue to count
-            before = len(heard)
+            before = len(received)
             executor.until(lambda count=count: len(reports) > count)
-            executor.until(lambda before=before: len(heard) > before)
-            assert len(heard) == before + 1
+            executor.until(lambda before=before: len(received) > before)
+            assert len(received) == before + 1
     level[0] = Level.OK
-    executor.until(lambda: heard[-1].status[0].level == b"\x00")
+    executor.until(lambda: received[-1].status[0].level == b"\x00")

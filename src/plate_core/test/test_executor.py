@@ -16,7 +16,7 @@ from plate_core.ros.executor import EVENTS_S  # noqa: E402
 def test_an_incompatible_partner_is_reported_within_a_second_and_messages_arrive_at_once(
     monkeypatch,
 ):
-    now, told, heard = [100.0], [], []
+    now, reported, received = [100.0], [], []
     clock = SimpleNamespace(monotonic=lambda: now[0])
     monkeypatch.setattr("plate_core.ros.executor.time", clock)
     context = rclpy.Context()
@@ -32,19 +32,19 @@ def test_an_incompatible_partner_is_reported_within_a_second_and_messages_arrive
 
     try:
         executor.spin_once(timeout_sec=0)  # looks for events
-        events = PublisherEventCallbacks(incompatible_qos=told.append)
+        events = PublisherEventCallbacks(incompatible_qos=reported.append)
         node.create_publisher(String, "unfit", CAMERA, event_callbacks=events)
-        node.create_subscription(String, "unfit", heard.append, DATA)
-        node.create_subscription(String, "fit", heard.append, DATA)
+        node.create_subscription(String, "unfit", received.append, DATA)
+        node.create_subscription(String, "fit", received.append, DATA)
         fit = node.create_publisher(String, "fit", DATA)
         assert until(lambda: node.count_subscribers("unfit") and fit.get_subscription_count(), 30)
         fit.publish(String(data="here"))
-        assert until(lambda: heard, 30)
+        assert until(lambda: received, 30)
         until(lambda: False, 0.3)
-        assert not told
+        assert not reported
         now[0] += EVENTS_S
-        assert until(lambda: told, 30)
-        assert heard == [String(data="here")]
+        assert until(lambda: reported, 30)
+        assert received == [String(data="here")]
     finally:
         executor.shutdown()
         node.destroy_node()

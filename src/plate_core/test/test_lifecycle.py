@@ -190,8 +190,8 @@ def test_who_has_no_name_yet_is_no_second_node(peer, monkeypatch):
         return peer.echo.second_publisher("word")
 
     assert publishers("peer", "_NODE_NAME_UNKNOWN_") == publishers("peer", "peer") == ""
-    told = "2 nodes publish word (other, peer), allowed: one"
-    assert publishers("peer", "other") == told
+    reported = "2 nodes publish word (other, peer), allowed: one"
+    assert publishers("peer", "other") == reported
 
 
 @pytest.mark.parametrize("before", [(), ("configure",), ("configure", "activate")])
@@ -290,12 +290,12 @@ def test_a_value_that_a_parameter_has_is_accepted_in_any_state(peer):
     ("rig_file", "hardware"), [("", "default"), ("desk", "desk"), ("/somewhere/mine.yaml", "mine")]
 )
 def test_diagnostics_name_the_rig(peer, rig_file, hardware):
-    heard = []
+    received = []
     peer.node.create_subscription(
-        DiagnosticArray, "diagnostics", lambda msg: heard.append(msg.status[0].hardware_id), 10
+        DiagnosticArray, "diagnostics", lambda msg: received.append(msg.status[0].hardware_id), 10
     )
     assert peer.set("rig_file", rig_file).successful
-    assert peer.until(lambda: heard[-1:] == [hardware])
+    assert peer.until(lambda: received[-1:] == [hardware])
 
 
 def test_a_parameter_that_it_does_not_have_is_named_and_the_nearest(peer):
@@ -315,8 +315,8 @@ def test_the_clock_changes_while_the_node_is_not_active(peer):
     clock, listens = peer.echo.get_clock(), peer.node.count_subscribers
 
     def set_atomically(**values):
-        wanted = [Parameter(name, value=value) for name, value in values.items()]
-        return peer.echo.set_parameters_atomically(wanted)
+        expected = [Parameter(name, value=value) for name, value in values.items()]
+        return peer.echo.set_parameters_atomically(expected)
 
     assert peer.change("configure")
     for simulated in (True, False, True):

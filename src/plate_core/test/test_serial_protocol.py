@@ -168,11 +168,11 @@ def test_round_trip(packet):
 def test_stream_may_be_split_anywhere(said, data):
     stream = b"\0" + b"".join(frame(pack(p)) for p in said)
     cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=6)))
-    reader, heard = Reader(), []
+    reader, received = Reader(), []
     for a, b in zip([0, *cuts], [*cuts, len(stream)], strict=True):
         reader, found = reader.fed(stream[a:b])
-        heard += [parse(packet) for packet in found]
-    assert heard == said
+        received += [parse(packet) for packet in found]
+    assert received == said
     assert reader == Reader()
 
 
@@ -181,8 +181,8 @@ def test_a_damaged_byte_is_noticed(packet, at, flip):
     data = bytearray(frame(pack(packet)))
     data[at % (len(data) - 1)] ^= flip
     # A new zero cuts the frame in two; each half is refused, or no frame at all.
-    _, heard = Reader().fed(bytes(data) + b"\0")
-    assert heard == []
+    _, received = Reader().fed(bytes(data) + b"\0")
+    assert received == []
 
 
 def naive_packet(encoded: bytes) -> bytes | None:
@@ -225,7 +225,7 @@ def test_random_and_mutated_frames():
 
 def test_random_packets_with_a_right_crc_are_decoded_or_refused():
     rng = np.random.default_rng(2)
-    said = 0
+    reported = 0
     for _ in range(5_000):
         code = int(rng.choice([1, 2, 3, 4, 5, 16, 17, 18, 129, 130, 131, 132, 99]))
         packet = bytes([code]) + rng.bytes(int(rng.choice([2, 3, 6, 7, 10, 58, 214, 51, 5, 18])))
@@ -234,8 +234,8 @@ def test_random_packets_with_a_right_crc_are_decoded_or_refused():
         except FrameError:
             continue
         assert pack(found) == packet
-        said += 1
-    assert said > 125
+        reported += 1
+    assert reported > 125
 
 
 def test_endless_frame_does_not_fill_memory():

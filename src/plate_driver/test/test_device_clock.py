@@ -44,11 +44,11 @@ def conversation(way, device, seconds, rng):
 
     written = np.array(beats) + rng.uniform(0, way.pause / 3, len(beats))
     answered = np.ceil(arriving(np.maximum.accumulate(written)) / TICK_S) * TICK_S
-    said = [(at, round(beat * 1e9)) for at, beat in zip(answered, beats, strict=True)]
-    said += [(at, None) for at in np.arange(0.0, polls[-1], TELEMETRY_S)]
-    said.sort(key=lambda item: item[0])
-    times = arriving(np.array([at for at, _ in said]))
-    for (at, host_ns), poll in zip(said, np.searchsorted(polls, times), strict=True):
+    reported = [(at, round(beat * 1e9)) for at, beat in zip(answered, beats, strict=True)]
+    reported += [(at, None) for at in np.arange(0.0, polls[-1], TELEMETRY_S)]
+    reported.sort(key=lambda item: item[0])
+    times = arriving(np.array([at for at, _ in reported]))
+    for (at, host_ns), poll in zip(reported, np.searchsorted(polls, times), strict=True):
         if poll < len(polls) and rng.random() >= way.lost:
             stamp = int(1e6 * device(at))
             yield polls[poll], stamp if host_ns is None else Pulse(host_ns, stamp)

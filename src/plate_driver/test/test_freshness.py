@@ -197,8 +197,8 @@ def run(seed: int) -> list[tuple[float, float, int]]:
         put(float(end), "end")
     for k in range(500):
         put(0.04 * k, "look")
-    fresh, last_ns, asked_ns, told, wrong = Freshness(), None, 0, [], []
-    asked = -1.0  # true time of the image of the planner's last request
+    fresh, last_ns, asked_ns, reported, wrong = Freshness(), None, 0, [], []
+    requested = -1.0  # true time of the image of the planner's last request
     while queue:
         t, _, what, content = heapq.heappop(queue)
         if what == "end":  # the planner reports it when it runs
@@ -213,7 +213,7 @@ def run(seed: int) -> list[tuple[float, float, int]]:
             continue
         if what == "ended":
             fresh = fresh.ended(asked_ns)
-            told.append((t, asked))
+            reported.append((t, requested))
             continue
         number = None if stopped(t) else sum(stop <= t for stop in stops)
         if name == "driver":
@@ -224,8 +224,8 @@ def run(seed: int) -> list[tuple[float, float, int]]:
         hop.busy_until = t + rng.exponential(slow)
         if what == "planner":
             moves = running(t)
-            if taken > asked:
-                asked_ns, asked = stamp, taken
+            if taken > requested:
+                asked_ns, requested = stamp, taken
         if what != "driver":
             for _ in range(1 + (rng.random() < 0.1)):  # now and then twice
                 following = HOPS[HOPS.index(what) + 1]
@@ -246,7 +246,7 @@ def run(seed: int) -> list[tuple[float, float, int]]:
         age = t - taken
         thaw = max((end for _, end in hop.frozen if end <= t and end - _ > 0.3), default=0.0)
         enabled = max((stop + 0.5 for stop in stops if stop + 0.5 <= t), default=0.0)
-        ended = max((asked for heard, asked in told if heard <= t), default=-1)
+        ended = max((requested for received, requested in reported if received <= t), default=-1)
         if age > 0.6 or taken < thaw or taken < enabled or taken <= ended:
             wrong.append((t, age, seed))
         moved.append(age)

@@ -263,8 +263,8 @@ def test_motors_that_take_no_table_are_reported_within_two_seconds(make, monkeyp
 
     play()
     assert driven.report.level == DiagnosticStatus.STALE
-    said = r"no plate_cycle has been played for \d\.\d s: device refuses Commit: limit"
-    assert re.fullmatch(said, driven.report.message)
+    reported = r"no plate_cycle has been played for \d\.\d s: device refuses Commit: limit"
+    assert re.fullmatch(reported, driven.report.message)
     driven.node.transports.current._transport.takes = True
     play()
     assert driven.report.level == DiagnosticStatus.WARN
@@ -356,9 +356,9 @@ def test_what_is_too_old_or_of_a_task_that_has_ended_moves_nothing(driven):
     assert refused(driven, old).startswith("plate_cycle is for an image 0.70 s old")
     # The end of the task arrives after the cycle that the task had requested, but was published
     # before it.
-    asked = driven.clock.time_ns()
+    requested = driven.clock.time_ns()
     data = serialize_message(
-        TaskStatus(header=Header(stamp=to_time(asked)), state=TaskStatus.ABORTED)
+        TaskStatus(header=Header(stamp=to_time(requested)), state=TaskStatus.ABORTED)
     )
     waiting = [(data, len(data), b"")]
     inputs = driven.node._inputs
@@ -366,9 +366,9 @@ def test_what_is_too_old_or_of_a_task_that_has_ended_moves_nothing(driven):
         take=lambda: waiting.pop() if waiting else None, destroy=inputs.tasks.subscription.destroy
     )
     inputs.tasks = inputs.tasks._replace(subscription=subscription)
-    assert refused(driven, asked) == "plate_cycle is for a task that has ended"
+    assert refused(driven, requested) == "plate_cycle is for a task that has ended"
     # Rest can be requested at any time.
-    assert driven.send(PlateCycle.rest(PERIOD), asked) == asked
+    assert driven.send(PlateCycle.rest(PERIOD), requested) == requested
     assert at_rest(driven.setpoints[-1])
     driven.pass_time(PERIOD)
     assert isinstance(driven.send(GENTLE), int)
@@ -403,7 +403,9 @@ def test_where_two_nodes_send_cycles_neither_moves_the_plate(driven):
 
 def test_in_simulated_time_silence_is_simulated_too(make):
     driven = make("hold_cycles:=2", "use_sim_time:=true")
-    [heard] = [each.callback for each in driven.node.subscriptions if each.topic_name == "/clock"]
+    [received] = [
+        each.callback for each in driven.node.subscriptions if each.topic_name == "/clock"
+    ]
 
     def rests() -> str:
         driven.pass_time(1.0)
@@ -412,13 +414,13 @@ def test_in_simulated_time_silence_is_simulated_too(make):
     assert driven.send(GENTLE, SIMULATED) == SIMULATED
     driven.pass_time(1.0)
     assert rests() == "0"  # the plate waits: nothing has come for two seconds
-    heard(Clock(clock=to_time(SIMULATED + 190 * MS)))
+    received(Clock(clock=to_time(SIMULATED + 190 * MS)))
     assert rests() == "0"
-    heard(Clock(clock=to_time(SIMULATED + 250 * MS)))
+    received(Clock(clock=to_time(SIMULATED + 250 * MS)))
     assert rests() == "1"
     # The simulator starts again: its clock is put back, and the cycle sent before counts no more.
     assert driven.send(GENTLE, SIMULATED + 300 * MS) == SIMULATED + 300 * MS
-    heard(Clock(clock=to_time(300 * MS)))
+    received(Clock(clock=to_time(300 * MS)))
     assert rests() == "2"
 
 

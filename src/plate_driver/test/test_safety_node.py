@@ -246,9 +246,9 @@ def test_a_stop_is_answered_behind_50_enables_and_each_of_50_stops_too(monkeypat
         assert all(client.wait_for_service(60) for client, _ in calls)
         assert answered_once(calls, seen)
         before = len(motors.stops)
-        asked = [client.call_async(request) for client, request in calls]
-        assert seen(lambda: all(future.done() for future in asked))
-        assert {future.result().message for future in asked[50:]} == {UNANSWERED}
+        requested = [client.call_async(request) for client, request in calls]
+        assert seen(lambda: all(future.done() for future in requested))
+        assert {future.result().message for future in requested[50:]} == {UNANSWERED}
         assert len(motors.stops) >= before + 50
     finally:
         motors.reported = Report(Condition.OFF)

@@ -87,9 +87,9 @@ def test_other_end_that_vanishes_is_a_trouble_not_a_crash(terminal):
     os.close(slave)
     terminal.clear()
     transport.poll()
-    told = transport.troubles()
-    assert len(told) == 1
-    assert told[0].startswith("serial port: ")
+    reported = transport.troubles()
+    assert len(reported) == 1
+    assert reported[0].startswith("serial port: ")
     transport.poll()
     transport.close()
 
@@ -101,11 +101,11 @@ def test_a_port_that_is_not_there_is_waited_for(terminal, tmp_path):
     transport = SerialTransport(lambda: open_port(str(link)), lambda: clock[0], 1)
     transport.open()
     text = f"serial port {link} is not there: waiting for it"
-    told = []
+    reported = []
     for clock[0] in np.arange(0.0, 5.0, 0.05):
         transport.poll()
-        told += transport.troubles()
-    assert told == [text]
+        reported += transport.troubles()
+    assert reported == [text]
     assert transport.report() == Report(Condition.GONE, DriverReason.PORT, text)
     assert transport.enable().failure == text + "; call again"
     link.symlink_to(os.ttyname(slave))

@@ -56,8 +56,8 @@ def test_the_row_goes_on_with_the_newest_cycle_at_a_boundary():
     assert stream.sent == len(both)
     assert [k.ticks for k in both] == [2_500_000 * i for i in range(len(both))]
     states = [(k.position, k.velocity) for k in both]
-    wanted = [*first, *first[1:], *second[1:], *second[1:]]
-    assert states == [(k.position, k.velocity) for k in wanted[: len(both)]]
+    expected = [*first, *first[1:], *second[1:], *second[1:]]
+    assert states == [(k.position, k.velocity) for k in expected[: len(both)]]
 
 
 def test_times_wrap():

@@ -521,8 +521,8 @@ def test_a_stream_goes_on_in_motion_or_with_the_tail(pair):
     on, more = begun.followed_by(second, 1).until(50.0)
     assert on.ended
     assert on.time == pytest.approx(2 * PERIOD + TAIL + 0.01)
-    wanted = [*refined(first), *refined(second)[1:], *refined(second.tail)[1:]]
-    assert [k.position for k in (*sent, *more)][:-1] == [k.position for k in wanted]
+    expected = [*refined(first), *refined(second)[1:], *refined(second.tail)[1:]]
+    assert [k.position for k in (*sent, *more)][:-1] == [k.position for k in expected]
     ended, rest = begun.until(50.0)
     assert ended.time == pytest.approx(0.2)  # devices refuse shorter streams
     judge(sampled([*sent, *more]))

@@ -208,21 +208,21 @@ def test_an_enable_that_was_called_before_a_stop_does_not_reach_the_transport():
     number = latch.number
     latch.close(EMERGENCY)
     assert thread.stop().done
-    asked = []
-    thread._transport.enable = lambda: asked.append(1) or Order().complete()
+    requested = []
+    thread._transport.enable = lambda: requested.append(1) or Order().complete()
     assert "another stop has arrived" in thread.enable(number).failure
-    assert not asked
+    assert not requested
     assert thread.enable(latch.number).done
-    assert asked
+    assert requested
 
 
 @pytest.mark.parametrize("broken", ["stop", "enable", "home", "report", "poll", "send", "values"])
 def test_a_defect_of_a_transport_stops_the_motors_and_ends_nothing(broken):
     """Whatever it raises: the answer is no, no cycle goes on, and the motors are stopped."""
-    told: list[Exception] = []
+    reported: list[Exception] = []
     sent: list = []
     latch = Latch()
-    thread = TransportThread(SimTransport(RIG, sent.append), latch, told.append)
+    thread = TransportThread(SimTransport(RIG, sent.append), latch, reported.append)
     thread.send(TABLE, 1, latch.number)
     stops = []
     stop = thread._transport.stop
@@ -241,7 +241,7 @@ def test_a_defect_of_a_transport_stops_the_motors_and_ends_nothing(broken):
     if isinstance(answer, Order):
         assert answer.completed
         assert not answer.done
-    assert [str(error) for error in told] == ["a defect"]
+    assert [str(error) for error in reported] == ["a defect"]
     assert thread.report.condition is Condition.GONE
     assert thread.report.reason is DriverReason.DEFECT
     assert "defect" in thread.report.text
@@ -270,12 +270,12 @@ def test_a_transport_that_hangs_does_not_hold_up_an_answer():
 
 
 def test_a_defect_of_a_transport_is_reported_and_the_thread_continues():
-    told: list[Exception] = []
+    reported: list[Exception] = []
     again = threading.Event()
-    thread = TransportThread(SimTransport(RIG, lambda table: None), Latch(), told.append)
+    thread = TransportThread(SimTransport(RIG, lambda table: None), Latch(), reported.append)
 
     def poll():
-        if len(told) >= 2:
+        if len(reported) >= 2:
             again.set()
             return []
         raise RuntimeError("a defect")
@@ -284,7 +284,7 @@ def test_a_defect_of_a_transport_is_reported_and_the_thread_continues():
     thread.start()
     assert again.wait(10)
     thread.close()
-    assert [str(error) for error in told] == ["a defect"] * 2
+    assert [str(error) for error in reported] == ["a defect"] * 2
 
 
 def closed(reason: DriverReason, unanswered: bool = False) -> Latch:
@@ -338,13 +338,13 @@ SILENT = Report(Condition.GONE, DriverReason.NO_ANSWER, "the device does not ans
     ],
 )  # fmt: skip
 def test_the_status_is_what_the_motors_report(active, latch, report, state, reason, text):
-    told = driver_status(active, closed(latch), report, calibrating=False)
-    assert told == DriverStatus(state, reason, text)
+    reported = driver_status(active, closed(latch), report, calibrating=False)
+    assert reported == DriverStatus(state, reason, text)
 
 
 def test_calibrating_is_a_state():
-    told = driver_status(True, Latch(), Report(Condition.READY), calibrating=True)
-    assert told == DriverStatus(DriverState.CALIBRATING, text="calibrating")
+    reported = driver_status(True, Latch(), Report(Condition.READY), calibrating=True)
+    assert reported == DriverStatus(DriverState.CALIBRATING, text="calibrating")
 
 
 def test_motors_that_are_ready_before_the_latch_is_open_do_not_brake():
@@ -394,9 +394,9 @@ def test_a_device_has_been_met_after_its_first_message():
 @pytest.mark.parametrize("active", [False, True])
 def test_an_unacknowledged_stop_is_reported_until_the_device_replies(active):
     latch = closed(CUT, unanswered=True)
-    wanted = DriverStatus(DriverState.ERROR, DriverReason.STOP_UNANSWERED, UNCERTAIN)
-    assert driver_status(active, latch, SILENT, False) == wanted
-    assert driver_status(active, latch, None, False) == wanted
+    expected = DriverStatus(DriverState.ERROR, DriverReason.STOP_UNANSWERED, UNCERTAIN)
+    assert driver_status(active, latch, SILENT, False) == expected
+    assert driver_status(active, latch, None, False) == expected
     assert driver_status(active, latch, EARLIER, False).reason is CUT
 
 

@@ -196,8 +196,8 @@ def test_a_part_whose_pick_has_failed_comes_again_but_not_for_ever():
         assert f"failed picks at this place: {count + 1}" in reply.text
     cell.get()
     assert cell.answer().code is Code.NO_PART
-    asked = {pick.label: pick.ready for pick in cell.output.order.picks}
-    assert asked == {"black": BLACK.ready + 1}  # one in its place
+    requested = {pick.label: pick.ready for pick in cell.output.order.picks}
+    assert requested == {"black": BLACK.ready + 1}  # one in its place
     cell.ready["black_1"] = part("black_1", 0.2)  # it lies elsewhere
     cell.get()
     assert cell.answer().part.id == "black_1"

@@ -84,8 +84,8 @@ class Robot:
     """The words of a program, and a client that uses them."""
 
     def __init__(self, program):
-        said = re.findall(r'\bask\("([^"]+)", (\d+)\)', program, re.IGNORECASE)
-        self.patience_s = {command: float(seconds) for command, seconds in said}
+        reported = re.findall(r'\bask\("([^"]+)", (\d+)\)', program, re.IGNORECASE)
+        self.patience_s = {command: float(seconds) for command, seconds in reported}
         self.get_part, self.taken, self.failed = self.patience_s
         self.names = re.findall(r'\bnumber\(line, "([^"]+)"\)', program, re.IGNORECASE)
         (self.done,) = re.findall(r'"(\d+ )"', program)

@@ -243,9 +243,9 @@ def test_what_comes_too_early_or_in_wrong_numbers_is_refused(gym):
             gym.PlateVectorEnv("Sort4-v1", **{name: wrong})
     with pytest.raises(PlateError, match="seed has 3 numbers, allowed: 2"):
         many.reset(seed=[1, 2, 3])
-    for wrong, said in ((-1, "-1"), (1.5, "1.5"), ("a", "'a'"), (True, "True")):
+    for wrong, reported in ((-1, "-1"), (1.5, "1.5"), ("a", "'a'"), (True, "True")):
         for call in (one.reset, many.reset, lambda seed: many.reset(seed=[0, seed])):
-            with pytest.raises(PlateError, match=f"seed is {said}, allowed: a whole number"):
+            with pytest.raises(PlateError, match=f"seed is {reported}, allowed: a whole number"):
                 call(seed=wrong)
     with pytest.raises(PlateError, match=r"reset_mask is \[True\], allowed: 2 booleans"):
         many.reset(options={"reset_mask": [True]})

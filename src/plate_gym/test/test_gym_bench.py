@@ -165,18 +165,18 @@ def test_wrong_results_and_results_of_other_code_are_reported(bench, result, mon
 
 
 def test_seeds_of_any_size_are_run_again(bench, result, monkeypatch):
-    seeds, asked = [1, 2**63, 2**63 + 1], []
+    seeds, requested = [1, 2**63, 2**63 + 1], []
     row = result["tasks"]["Sort4-v1"]["rows"][0]
 
     def episode(agent, world, task, seed):
-        asked.append(seed)
+        requested.append(seed)
         return row | {"seed": seed}
 
     monkeypatch.setattr(bench, "episode", episode)
     found = json.loads(json.dumps(bench.evaluate("A", "Sort4-v1", seeds)))
     reports = []
     assert bench.check(found, reports.append) == []
-    assert asked == 2 * seeds
+    assert requested == 2 * seeds
     assert reports[1] == f"Sort4-v1: the result has seeds 1, {2**63}:{2**63 + 2}"
 
 
@@ -681,8 +681,8 @@ def test_the_papers_method_gets_the_forces_it_requests(bench, monkeypatch):
     seen, info = env.reset(seed=0)
     cycle, place = bench.agent_class("1998")(Brief.of(env), 0).act(seen, info), seen[:, :2]
     force = average_force(cycle, place, np.zeros_like(place))
-    asked = 0.03 / (0.25 * 9.81 * 0.2) * np.array([-1, -1, 1, 1])
-    assert force == pytest.approx(np.column_stack([asked, 0 * asked]), abs=2e-3)
+    requested = 0.03 / (0.25 * 9.81 * 0.2) * np.array([-1, -1, 1, 1])
+    assert force == pytest.approx(np.column_stack([requested, 0 * requested]), abs=2e-3)
     with pytest.raises(PlateError, match="task is assemble_letters, allowed: sort, assemble, "):
         bench.episode("1998", "nominal", "Letters-v1", 0)
 
@@ -743,8 +743,8 @@ def test_the_command_reports_errors(
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "argv", ["bench", *words])
     assert ended(bench.main) == code
-    said = capsys.readouterr()
-    assert message in said.out + said.err
+    output = capsys.readouterr()
+    assert message in output.out + output.err
 
 
 def test_the_speed_of_each_size_is_reported(monkeypatch, capsys):

@@ -59,8 +59,8 @@ def build():
     code = "import importlib.util as u; s = u.spec_from_file_location('_kernels', {!r}); "
     code += "m = u.module_from_spec(s); s.loader.exec_module(m); print(m.value)"
     words = [sys.executable, "-c", code.format(spec.origin)]
-    said = subprocess.run(words, capture_output=True, text=True, check=True)
-    return sorted(compiled), int(said.stdout)
+    output = subprocess.run(words, capture_output=True, text=True, check=True)
+    return sorted(compiled), int(output.stdout)
 
 
 def test_only_what_has_changed_is_compiled(package, capfd):

@@ -81,8 +81,8 @@ def test_ctrl_c_before_its_first_line_waits_for_it(program, tmp_path):
 )
 def test_it_ends_at_once_with_its_exit_code(program, word, code, errors):
     with program("node", *([word] if word else [])) as node:
-        said = node.communicate(timeout=60)
-    assert (node.returncode, *said) == (code, "loading\nruns\ntidied up\n", errors)
+        output = node.communicate(timeout=60)
+    assert (node.returncode, *output) == (code, "loading\nruns\ntidied up\n", errors)
 
 
 def test_in_a_shell_that_does_not_know_the_packages_it_names_the_remedy(program, tmp_path):

@@ -60,11 +60,11 @@ def ready(planner, parts: Parts, t=0.0):
 def run(planner, plant, cycles=2000, t=0.0, state=None):
     state = ready(planner, plant.seen(), t) if state is None else state
     for k in range(cycles):
-        state, asked, progress = planner.plan(state, plant.seen(), t + k * T)
+        state, request, progress = planner.plan(state, plant.seen(), t + k * T)
         if progress.phase != "running":
             break
-        plant.step(asked)
-    return state, asked, progress
+        plant.step(request)
+    return state, request, progress
 
 
 def without(parts: Parts, *gone: str) -> Parts:

@@ -30,16 +30,16 @@ def test_a_task_ends_well_beside_unknown_things_and_names_them():
     state = ready(planner, with_things(plant.seen()))
     texts = set()
     for k in range(600):
-        state, asked, progress = planner.plan(state, with_things(plant.seen()), k * T)
+        state, request, progress = planner.plan(state, with_things(plant.seen()), k * T)
         if progress.phase != "running":
             break
         texts.add(progress.text)
-        if asked.parts.ids:
-            assert set(THINGS) <= set(asked.parts.ids)  # the solver keeps parts clear of them
-            rows = [asked.parts.ids.index(name) for name in THINGS]
-            assert not np.any(asked.targets.weight[rows])  # but they need not move
-        rows = np.flatnonzero([name not in THINGS for name in asked.parts.ids])
-        plant.step(CycleRequest.make(asked.parts.take(rows), asked.forces.force[rows]))
+        if request.parts.ids:
+            assert set(THINGS) <= set(request.parts.ids)  # the solver keeps parts clear of them
+            rows = [request.parts.ids.index(name) for name in THINGS]
+            assert not np.any(request.targets.weight[rows])  # but they need not move
+        rows = np.flatnonzero([name not in THINGS for name in request.parts.ids])
+        plant.step(CycleRequest.make(request.parts.take(rows), request.forces.force[rows]))
     things = "2 unknown objects are on the plate (unknown_1 at (0.050, 0.020) m, group_2 at "
     assert progress.phase == "done"
     assert f"4 of 4 parts in their regions; {things}" in progress.text
@@ -64,20 +64,20 @@ def test_things_that_come_and_go_do_not_keep_a_task_from_beginning():
 
 def asked_of(planner, images):
     """Return the ids in the request after each of these images; the plate rests."""
-    state, asked = ready(planner, images[0]), []
+    state, requested = ready(planner, images[0]), []
     for k, image in enumerate(images):
         state = planner.started(state, PlateCycle.rest(T), k * T, True)
         state, request, _ = planner.plan(state, image, k * T)
-        asked.append(request.parts.ids)
-    return asked
+        requested.append(request.parts.ids)
+    return requested
 
 
 def test_parts_keep_clear_of_a_thing_that_is_not_seen_for_a_while():
     planner = Planner(RIG, load_scenario("sort_4"))
     parts = Plant(planner.scenario, seed=2).seen()
     both = with_things(parts)
-    asked = asked_of(planner, [both, both, *[parts] * 12])
-    assert ["unknown_1" in ids for ids in asked] == [True] * 12 + [False] * 2  # ten images
+    requested = asked_of(planner, [both, both, *[parts] * 12])
+    assert ["unknown_1" in ids for ids in requested] == [True] * 12 + [False] * 2  # ten images
     again = with_things(parts, ("unknown_3",))  # it is back, under another name
     last = asked_of(planner, [both, parts, again])[-1]
     assert set(last) == {*parts.ids, "unknown_3", "group_2"}
@@ -113,9 +113,9 @@ def test_the_solver_gets_the_parts_of_the_task_before_unknown_things():
     ids = tuple(f"unknown_{k}" for k in range(1, 71))
     place = np.random.default_rng(1).uniform(-0.9, 0.9, (70, 2)) * HALF
     state = ready(planner, with_things(parts, ids, place))
-    _, asked, _ = planner.plan(state, with_things(parts, ids, place), 0.0)
-    assert len(asked.parts) == 100
-    assert set(parts.ids) <= set(asked.parts.ids)
+    _, request, _ = planner.plan(state, with_things(parts, ids, place), 0.0)
+    assert len(request.parts) == 100
+    assert set(parts.ids) <= set(request.parts.ids)
 
 
 def thing(x, y, radius=RADIUS, reason="misfit"):

@@ -300,10 +300,12 @@ def test_nothing_is_learnt_from_what_was_not_predicted_or_not_seen():
 
 def test_parts_without_a_request_keep_drifting():
     parts = Parts.make(("a_1", "a_2"), np.zeros((2, 2)), np.full((2, 2), 0.01))
-    asked = LastRequest(("a_2",), np.full((1, 2), 0.03), 1.0)
-    assert asked.drift_of(parts, 1.0 + T, T) == pytest.approx(np.array([[0.01] * 2, [0.03] * 2]))
+    requested = LastRequest(("a_2",), np.full((1, 2), 0.03), 1.0)
+    assert requested.drift_of(parts, 1.0 + T, T) == pytest.approx(
+        np.array([[0.01] * 2, [0.03] * 2])
+    )
     for other in (1.0 + 2 * T, 0.0):  # too old, and from a time that has restarted
-        assert asked.drift_of(parts, other, T) == pytest.approx(np.full((2, 2), 0.01))
+        assert requested.drift_of(parts, other, T) == pytest.approx(np.full((2, 2), 0.01))
 
 
 # A camera that runs free

@@ -83,9 +83,9 @@ def test_parts_outside_the_window_are_led_there_the_nearest_first():
     memory, found = run(TASK, seen)
     assert memory.chosen == ("black_1", "black_2", "black_3"), "as many as are to be ready"
     targets = found.request
-    asked = dict(zip(seen.ids, targets.weight[:, 0], strict=True))
-    assert asked["black_1"] == asked["black_2"]
-    assert 0 < 10 * asked["black_5"] < asked["black_2"]
+    requested = dict(zip(seen.ids, targets.weight[:, 0], strict=True))
+    assert requested["black_1"] == requested["black_2"]
+    assert 0 < 10 * requested["black_5"] < requested["black_2"]
     assert targets.low[0, 0] >= TASK.picks[0].low[0]
 
 
@@ -129,15 +129,15 @@ def test_no_part_is_at_rest_while_a_requested_motion_can_start(begins, reported,
             state = feed.started(state, push, begins * T, triggered=True)
         if k != begins or reported == begins:
             state = feed.started(state, push if k == begins else rest, k * T, triggered=True)
-        state, wanted, _ = feed.plan(state, crowd, k * T)
-        assert bool(wanted.parts.ids) is (k == 0)
+        state, expected, _ = feed.plan(state, crowd, k * T)
+        assert bool(expected.parts.ids) is (k == 0)
         still.append(state.memory.report.at_rest)
         if k == 0:
             feed = feed.order(state, FeedOrder(FeedMode.REST))
         elif k >= 3:
-            for asked in range(4) if k == 3 else [k]:
-                answer = rest if asked else push
-                state = feed.record_cycle(state, answer, max(arrival, k) * T, asked * T)
+            for requested in range(4) if k == 3 else [k]:
+                answer = rest if requested else push
+                state = feed.record_cycle(state, answer, max(arrival, k) * T, requested * T)
     assert still == [k > begins + 1 for k in range(12)]
 
 
@@ -204,24 +204,26 @@ def test_what_nobody_wants_goes_to_the_chute():
     assert targets.weight[3, 0] > targets.weight[4, 0] > 0, "the nearer one first"
     waiting = parts(black_4=(-0.1, 0.05), grey_1=(-0.2, 0.0), grey_2=(-0.1, 0.0))
     _, found = run(TASK, waiting)
-    asked = found.request
-    assert np.all(asked.weight[0] > 0), "others get ready meanwhile"
-    assert np.all(asked.weight[1] > asked.weight[2])
-    assert np.all(asked.weight[2] > 0)
+    requested = found.request
+    assert np.all(requested.weight[0] > 0), "others get ready meanwhile"
+    assert np.all(requested.weight[1] > requested.weight[2])
+    assert np.all(requested.weight[2] > 0)
     _, found = run(replace(TASK, chute=None), waiting)
-    asked = found.request
-    assert np.all(asked.weight[1:] == 0)
-    assert np.all(asked.low[1:] <= -RIG.plate.half), "anywhere, not where they are: the edge counts"
-    assert np.all(asked.high[1:] >= RIG.plate.half)
+    requested = found.request
+    assert np.all(requested.weight[1:] == 0)
+    assert np.all(requested.low[1:] <= -RIG.plate.half), (
+        "anywhere, not where they are: the edge counts"
+    )
+    assert np.all(requested.high[1:] >= RIG.plate.half)
     many = parts(black_4=(-0.1, 0.05), **{f"grey_{k}": (-0.2, 0.03 * k - 0.1) for k in range(5)})
     _, found = run(TASK, many)
     assert np.all(found.request.weight[1:] > 0)
     fed = {"black_4": (-0.1, 0.05), "black_5": (-0.285, 0.09)}
     beside = {f"grey_{k}": (-0.29, 0.03 * k - 0.1) for k in range(5)}
     _, found = run(TASK, parts(**fed, **beside, grey_5=(0.2, 0.0)))
-    asked, alone = found.request, run(TASK, parts(**fed))[1].request
-    assert asked.weight[:2] == pytest.approx(alone.weight), "they take nothing from those fed"
-    assert asked.low[:2] == pytest.approx(alone.low), "also beside the chute"
+    requested, alone = found.request, run(TASK, parts(**fed))[1].request
+    assert requested.weight[:2] == pytest.approx(alone.weight), "they take nothing from those fed"
+    assert requested.low[:2] == pytest.approx(alone.low), "also beside the chute"
     few = parts(black_4=(-0.1, 0.05), grey_3=(-0.2, 0.02))
     memory, _ = run(TASK, many)
     _, found = run(TASK, few, memory=memory)
@@ -304,9 +306,9 @@ def test_orders_change_what_is_done_and_wrong_ones_are_refused():
     state = feed.start(feed.initial())
     state, *_ = feed.plan(state, parts(**LONE), 0.0)
     pick = Pick("grey", 1, (0.0, -0.1), (0.2, 0.1))
-    asked = FeedOrder(FeedMode.FEED, (pick,))
-    other = feed.order(state, asked)
-    assert other.scenario.task.order == asked
+    requested = FeedOrder(FeedMode.FEED, (pick,))
+    other = feed.order(state, requested)
+    assert other.scenario.task.order == requested
     back = other.order(state, FeedOrder(FeedMode.REST))
     assert back.scenario.task.picks == TASK.picks
     for wrong, why in (

@@ -96,15 +96,15 @@ def closed_loop(reference, start, cycles, kp, drift_gain=1.0, noise=0.0, limit=1
     rng = np.random.default_rng(0)
     x, seen_before = np.array([start], float), np.array([start], float)
     coming = np.zeros((1, 2))  # drift of the cycle that is about to begin
-    asked = LastRequest()
+    requested = LastRequest()
     errors = []
     for k in range(cycles):
         t = k * T
         errors.append((x - reference(t))[0])
         seen = x + noise * rng.normal(size=x.shape)
         v = (seen - seen_before) / T
-        wanted = pd_drift(
-            seen + T * asked.drift_of(Parts.make(("black_1",), seen, v), t, T),
+        expected = pd_drift(
+            seen + T * requested.drift_of(Parts.make(("black_1",), seen, v), t, T),
             reference(t + T),
             reference(t + 2 * T),
             T,
@@ -112,12 +112,12 @@ def closed_loop(reference, start, cycles, kp, drift_gain=1.0, noise=0.0, limit=1
             np.array([limit]),
         )
         part = Parts.make(("black_1",), seen, v)
-        force, tolerance = DriftInterval(wanted, wanted).force(part, RIG, T)
+        force, tolerance = DriftInterval(expected, expected).force(part, RIG, T)
         assert np.all(tolerance == 0)
         assert np.all(np.abs(force) <= RIG.force_unit + 1e-15)
         seen_before, x = seen, x + T * drift_gain * coming
         coming = v + force * T / MASS
-        asked = LastRequest(("black_1",), coming, t)
+        requested = LastRequest(("black_1",), coming, t)
     return np.array(errors)
 
 
@@ -165,8 +165,8 @@ def test_measurement_noise_is_not_amplified():
 
 def test_the_requested_drift_is_bounded_in_magnitude_not_in_direction():
     far = np.array([[0.3, 0.4], [0.0, 0.001]])
-    wanted = pd_drift(np.zeros((2, 2)), far, far, T, 0.5, np.array([0.06, 0.06]))
-    assert wanted == pytest.approx(np.array([[0.036, 0.048], [0.0, 0.005]]))
+    expected = pd_drift(np.zeros((2, 2)), far, far, T, 0.5, np.array([0.06, 0.06]))
+    assert expected == pytest.approx(np.array([[0.036, 0.048], [0.0, 0.005]]))
 
 
 def test_force_gives_back_the_wanted_interval():
@@ -226,12 +226,12 @@ def test_parts_that_start_elsewhere_are_led_to_their_paths_first(far):
     planner = Planner(RIG, scenario)
     state = ready(planner, plant.seen())
     for k in range(1000):
-        state, asked, progress = planner.plan(state, plant.seen(), k * T)
+        state, request, progress = planner.plan(state, plant.seen(), k * T)
         if progress.phase != "running":
             break
         if state.memory.leading:
             assert progress.max_error_m == 0  # the path has not begun
-        plant.step(asked)
+        plant.step(request)
         most = max(most, np.max(np.abs(plant.drift)))
     assert progress.phase == "done"
     assert progress.max_error_m <= 0.0045 + 1e-6  # nearer than where references slow down
@@ -319,12 +319,12 @@ def test_a_part_pushed_far_off_its_path_ends_the_task():
     plant, planner = Plant(scenario), Planner(RIG, scenario)
     state, _, _ = run(planner, plant, cycles=50)
     plant.position[1] += [0.0, 0.04]
-    _, asked, progress = planner.plan(state, plant.seen(), 5.0)
-    said = (
+    _, request, progress = planner.plan(state, plant.seen(), 5.0)
+    reported = (
         r"stuck after 5\.0 s: black_2 at \(0\.\d+, 0\.\d+\) m is 40\.0 mm off its path, allowed: 30"
     )
-    assert re.match(said, progress.text)
-    assert len(asked.parts) == 0
+    assert re.match(reported, progress.text)
+    assert len(request.parts) == 0
 
 
 class Weak(Plant):
@@ -430,12 +430,14 @@ def test_errors_are_corrected_the_less_the_later_answers_begin(late):
     scenario = load_scenario("follow_2")
     plant, follower = Plant(scenario), Follower(scenario.task, RIG)
     seen = Parts.make(plant.ids, follower.reference(follower.begin(plant.seen(), 0.0), 0.0))
-    asked = []
+    requested = []
     for error in (0.0, 0.001):
         at = seen.position + [error, 0.0]
         now = Situation(seen, 0.0, T, T, T, True, True, at, np.zeros(2), True, seen, 0.0, late=late)
-        asked.append(follower.assess(None, now)[1].request.low)
-    assert asked[1] - asked[0] == pytest.approx(np.array([[-0.8e-3 / T / (1 + late), 0.0]] * 2))
+        requested.append(follower.assess(None, now)[1].request.low)
+    assert requested[1] - requested[0] == pytest.approx(
+        np.array([[-0.8e-3 / T / (1 + late), 0.0]] * 2)
+    )
 
 
 def test_a_lack_that_does_not_pass_never_stops_the_references():

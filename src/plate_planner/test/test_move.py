@@ -165,10 +165,10 @@ def test_a_new_part_stays_where_it_is_seen_first():
     state, _, _ = run(planner, plant, cycles=3)
     more = plant.seen()
     more = Parts.make((*more.ids, "grey_3"), np.vstack([more.position, [[0.2, -0.1]]]))
-    state, asked, progress = planner.plan(state, more, 3 * T)
+    state, request, progress = planner.plan(state, more, 3 * T)
     assert progress.phase is Phase.RUNNING
-    row = asked.parts.ids.index("grey_3")
-    assert (asked.targets.low + asked.targets.high)[row] / 2 == pytest.approx([0.2, -0.1])
+    row = request.parts.ids.index("grey_3")
+    assert (request.targets.low + request.targets.high)[row] / 2 == pytest.approx([0.2, -0.1])
     state, _, progress = planner.plan(state, plant.seen(), 4 * T)
     assert progress.phase is Phase.RUNNING
 

@@ -24,20 +24,20 @@ def play(*targets):
 
 def connected(graph):
     """Publisher of `targets`, and the received messages of `part_targets`."""
-    heard = []
-    graph.probe.create_subscription(Targets, "part_targets", heard.append, LATCHED)
+    received = []
+    graph.probe.create_subscription(Targets, "part_targets", received.append, LATCHED)
     publisher = graph.probe.create_publisher(Targets, "targets", DATA)
-    graph.until(lambda: publisher.get_subscription_count() and heard)
-    return publisher, heard
+    graph.until(lambda: publisher.get_subscription_count() and received)
+    return publisher, received
 
 
 def asked_now(graph, begin_s):
     """The request at the next image. On a busy machine a result can arrive too late for a
     request."""
     for k in range(50):
-        asked = graph.image(begin_s + 0.1 * k, APART)
-        if asked.targets is not None:
-            return asked
+        request = graph.image(begin_s + 0.1 * k, APART)
+        if request.targets is not None:
+            return request
     raise AssertionError("nothing is asked")
 
 
@@ -47,16 +47,16 @@ def ids(msg):
 
 def test_targets_are_accepted_while_it_runs_and_reported(graph):
     graph = graph()
-    publisher, heard = connected(graph)
-    assert not heard[-1].targets
+    publisher, received = connected(graph)
+    assert not received[-1].targets
     handle = graph.begin(100.0, play(HERE))
-    graph.until(lambda: ids(heard[-1]) == ["black_1"])
-    assert heard[-1].header.frame_id == "plate_home"
+    graph.until(lambda: ids(received[-1]) == ["black_1"])
+    assert received[-1].header.frame_id == "plate_home"
     publisher.publish(Targets(targets=[Target(id="grey_2", x=-0.1, y=0.02, angle=np.nan)]))
-    graph.until(lambda: ids(heard[-1]) == ["black_1", "grey_2"])
-    assert np.isnan(heard[-1].targets[1].angle)
-    asked = asked_now(graph, 100.3)
-    aim = (asked.targets.low + asked.targets.high) / 2
+    graph.until(lambda: ids(received[-1]) == ["black_1", "grey_2"])
+    assert np.isnan(received[-1].targets[1].angle)
+    requested = asked_now(graph, 100.3)
+    aim = (requested.targets.low + requested.targets.high) / 2
     assert aim[IDS.index("grey_2")] == pytest.approx([-0.1, 0.02])
     assert aim[IDS.index("black_1")] == pytest.approx(HERE.place)
     graph.until(lambda: graph.states[-1].startswith("running: 0 of 2 at their targets, "))
@@ -64,12 +64,12 @@ def test_targets_are_accepted_while_it_runs_and_reported(graph):
     _, status = graph.result(handle)
     assert (status.state, status.reason) == (TaskStatus.ABORTED, TaskStatus.CANCELED)
     assert status.task == "move"
-    graph.until(lambda: not heard[-1].targets)
+    graph.until(lambda: not received[-1].targets)
 
 
 def test_targets_that_cannot_be_are_refused_in_the_diagnostics(graph):
     graph = graph()
-    publisher, heard = connected(graph)
+    publisher, received = connected(graph)
 
     def refused(msg):
         publisher.publish(msg)
@@ -84,13 +84,13 @@ def test_targets_that_cannot_be_are_refused_in_the_diagnostics(graph):
     assert "101 targets, allowed: at most 100" in refused(Targets(targets=many))
     assert "grey_1 occurs twice" in refused(Targets(targets=[right, right]))
     assert "frame is 'map'" in refused(Targets(header=Header(frame_id="map"), targets=[right]))
-    assert not heard[-1].targets
+    assert not received[-1].targets
     wrong = Target(id="black_7", x=0.0, y=0.0, angle=np.nan)
     off = Target(id="grey_2", x=np.inf, y=0.0, angle=np.nan)
     text = refused(Targets(header=Header(frame_id="plate_home"), targets=[wrong, off, right]))
     assert "black_7 is unknown" in text
     assert "place of grey_2 is (inf, 0) m" in text
-    graph.until(lambda: ids(heard[-1]) == ["grey_1"])
+    graph.until(lambda: ids(received[-1]) == ["grey_1"])
     publisher.publish(Targets(targets=[wrong]))
     graph.until(lambda: "black_7 is unknown" in graph.planner._health.values(0.0)["refusal"])
 
@@ -112,6 +112,6 @@ def test_whatever_is_sent_the_targets_in_force_are_on_the_plate(graph):
             assert target.id in IDS
             assert np.all(np.abs(target.place) < half)
         if k % 100 == 0:
-            asked = asked_now(graph, 100.3 + k / 200)
-            assert set(asked.parts.ids) == set(IDS)
-            assert np.all(np.isfinite(asked.targets.low))
+            requested = asked_now(graph, 100.3 + k / 200)
+            assert set(requested.parts.ids) == set(IDS)
+            assert np.all(np.isfinite(requested.targets.low))

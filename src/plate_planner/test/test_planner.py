@@ -21,13 +21,13 @@ def test_it_sorts(name):
     scenario = load_scenario(name)
     plant = Plant(scenario, seed=1, disturbance=2e-3)
     planner = Planner(RIG, scenario)
-    _, asked, progress = run(planner, plant)
+    _, request, progress = run(planner, plant)
     side = np.array([scenario.task.regions[part_class(i)].x for i in plant.ids])
     assert progress.phase == "done"
     assert progress.parts_sorted == progress.parts_total == scenario.count
     assert np.all(plant.position[:, 0] * side > 0.6 * RIG.plate.half[0])
     assert np.all(np.abs(plant.position) < 0.9 * RIG.plate.half)
-    assert len(asked.parts) == 0  # no part gets a request once the task is done
+    assert len(request.parts) == 0  # no part gets a request once the task is done
 
 
 def test_sorted_parts_stay_sorted_while_others_are_on_their_way():
@@ -37,10 +37,10 @@ def test_sorted_parts_stay_sorted_while_others_are_on_their_way():
     state = ready(planner, plant.seen())
     best = 0
     for k in range(400):
-        state, asked, progress = planner.plan(state, plant.seen(), k * T)
+        state, request, progress = planner.plan(state, plant.seen(), k * T)
         assert progress.parts_sorted >= best
         best = progress.parts_sorted
-        plant.step(asked)
+        plant.step(request)
     assert progress.phase == "done"
 
 
@@ -69,12 +69,12 @@ def test_a_part_that_falls_off_in_the_last_cycle_is_lost_and_the_task_not_done(h
     state = ready(planner, parts)
     for k in range(30):
         seen = without(parts, "grey_2") if falls is not None and k >= falls else parts
-        state, asked, progress = planner.plan(state, seen, k * T)
-        assert (len(asked.parts) > 0) == (k < 5)  # after the hold time the plate must rest
+        state, request, progress = planner.plan(state, seen, k * T)
+        assert (len(request.parts) > 0) == (k < 5)  # after the hold time the plate must rest
         if progress.phase != "running":
             break
         if heard:
-            swing = PlateCycle.from_samples(T, SWING) if len(asked.parts) else PlateCycle.rest(T)
+            swing = PlateCycle.from_samples(T, SWING) if len(request.parts) else PlateCycle.rest(T)
             state = planner.record_cycle(state, swing, k * T + T / 2)
     if falls is None:
         assert (progress.phase, k) == ("done", 7)
@@ -88,7 +88,7 @@ def test_a_part_that_falls_off_in_the_last_cycle_is_lost_and_the_task_not_done(h
 def test_it_assembles(seed):
     scenario = load_scenario("assemble_8")
     plant = Plant(scenario, seed=seed, disturbance=1e-3)
-    _, asked, progress = run(Planner(RIG, scenario), plant)
+    _, request, progress = run(Planner(RIG, scenario), plant)
     assert progress.phase == "done"
     assert progress.parts_sorted == 8
     assert progress.max_error_m <= scenario.task.tolerance_m
@@ -98,7 +98,7 @@ def test_it_assembles(seed):
     assert sorted(nearest) == list(range(8))  # each place has one part, of its class
     assert [scenario.task.labels[k] for k in nearest] == [part_class(i) for i in plant.ids]
     assert np.max(np.min(distance, axis=1)) <= scenario.task.tolerance_m
-    assert len(asked.parts) == 0
+    assert len(request.parts) == 0
 
 
 def test_the_time_of_a_task_is_that_of_the_cycles_not_of_wrong_stamps():
@@ -151,8 +151,8 @@ def test_it_sorts_into_corners():
 def test_idle_requests_nothing():
     scenario = load_scenario("sort_4")
     planner = Planner(RIG, scenario)
-    _, asked, progress = planner.plan(planner.initial(), Plant(scenario).seen(), 0.0)
-    assert (len(asked.parts), progress.phase, progress.parts_seen) == (0, "idle", 4)
+    _, request, progress = planner.plan(planner.initial(), Plant(scenario).seen(), 0.0)
+    assert (len(request.parts), progress.phase, progress.parts_seen) == (0, "idle", 4)
 
 
 def test_stop_aborts_and_start_restarts():
@@ -160,10 +160,10 @@ def test_stop_aborts_and_start_restarts():
     plant, planner = Plant(scenario), Planner(RIG, scenario)
     state, _, progress = run(planner, plant, cycles=20)
     assert progress.time_s == pytest.approx(1.9)
-    state, asked, progress = planner.plan(planner.stop(state), plant.seen(), 2.0)
-    assert (len(asked.parts), progress.text) == (0, "aborted after 1.9 s: stopped")
-    state, asked, progress = planner.plan(planner.start(state), plant.seen(), 2.1)
-    assert (len(asked.parts), progress.phase, progress.time_s) == (4, "running", 0.0)
+    state, request, progress = planner.plan(planner.stop(state), plant.seen(), 2.0)
+    assert (len(request.parts), progress.text) == (0, "aborted after 1.9 s: stopped")
+    state, request, progress = planner.plan(planner.start(state), plant.seen(), 2.1)
+    assert (len(request.parts), progress.phase, progress.time_s) == (4, "running", 0.0)
 
 
 @pytest.mark.parametrize("name", ["sort_4", "follow_2"])
@@ -173,11 +173,11 @@ def test_the_clock_waits_until_the_same_parts_are_seen_twice(name):
     state = planner.start(planner.initial())
     glare = replace(plant.seen(), ids=("black_9", *plant.ids[1:]))
     for t, parts in ((0.0, without(plant.seen(), "black_1")), (4.8, glare), (4.9, plant.seen())):
-        state, asked, progress = planner.plan(state, parts, t)
-        assert (len(asked.parts), progress.phase, progress.time_s) == (0, "running", 0.0)
-    state, asked, progress = planner.plan(state, plant.seen(), 5.0)
-    assert (len(asked.parts), progress.time_s) == (scenario.count, 0.0)
-    state, asked, progress = planner.plan(state, plant.seen(), 5.1)
+        state, request, progress = planner.plan(state, parts, t)
+        assert (len(request.parts), progress.phase, progress.time_s) == (0, "running", 0.0)
+    state, request, progress = planner.plan(state, plant.seen(), 5.0)
+    assert (len(request.parts), progress.time_s) == (scenario.count, 0.0)
+    state, request, progress = planner.plan(state, plant.seen(), 5.1)
     assert progress.time_s == pytest.approx(0.1)
 
 
@@ -188,8 +188,8 @@ def test_a_part_that_is_only_carried_on_is_not_seen_twice():
     for k in range(4):  # in the second and fourth image black_1 is where it should still be
         state = planner.record_cycle(state, PlateCycle.rest(T), (k - 1) * T)
         parts = without(plant.seen(), "black_1") if k % 2 else plant.seen()
-        state, asked, progress = planner.plan(state, parts, k * T)
-        assert (progress.parts_seen, len(asked.parts)) == (2, 0 if k < 2 else 2)
+        state, request, progress = planner.plan(state, parts, k * T)
+        assert (progress.parts_seen, len(request.parts)) == (2, 0 if k < 2 else 2)
 
 
 def test_parts_that_never_come_are_named():
@@ -197,8 +197,8 @@ def test_parts_that_never_come_are_named():
     state = planner.start(planner.initial())
     nobody = Parts.make((), np.zeros((0, 2)))
     for t in (0.0, 10.0, 10.1):
-        state, asked, progress = planner.plan(state, nobody, t)
-        assert len(asked.parts) == 0
+        state, request, progress = planner.plan(state, nobody, t)
+        assert len(request.parts) == 0
     expected = "aborted: 2 of 2 black parts, 2 of 2 grey parts not detected within 10 s of"
     assert progress.text.startswith(expected)
     assert progress.text.endswith("detections_image")
@@ -230,22 +230,24 @@ def test_a_lost_part_is_named_and_the_others_go_on_meanwhile(name, fallen):
     else:
         parts = without(parts, "black_2")
     for k in range(5, 16):
-        state, asked, progress = planner.plan(state, parts, k * T)
+        state, request, progress = planner.plan(state, parts, k * T)
         assert progress.phase == "running"
-        assert set(asked.parts.ids) == set(plant.ids) - {"black_2"}
-    state, asked, progress = planner.plan(state, parts, 16 * T)
+        assert set(request.parts.ids) == set(plant.ids) - {"black_2"}
+    state, request, progress = planner.plan(state, parts, 16 * T)
     assert progress.text.startswith("lost part after 1.6 s: black_2 ")
-    said = "left the plate at (0.000, 0.151) m, 0.5 s after" if fallen else "was last detected at ("
-    assert said in progress.text
-    assert len(asked.parts) == 0
+    reported = (
+        "left the plate at (0.000, 0.151) m, 0.5 s after" if fallen else "was last detected at ("
+    )
+    assert reported in progress.text
+    assert len(request.parts) == 0
 
 
 def test_no_part_at_all_is_answered_with_nothing():
     scenario = load_scenario("sort_4")
     plant, planner = Plant(scenario), Planner(RIG, scenario)
     state, _, _ = run(planner, plant, cycles=5)
-    state, asked, progress = planner.plan(state, Parts.make((), np.zeros((0, 2))), 5 * T)
-    assert (len(asked.parts), progress.phase, progress.parts_seen) == (0, "running", 0)
+    state, request, progress = planner.plan(state, Parts.make((), np.zeros((0, 2))), 5 * T)
+    assert (len(request.parts), progress.phase, progress.parts_seen) == (0, "running", 0)
 
 
 @pytest.mark.parametrize("name", ["sort_4", "follow_2"])
@@ -255,10 +257,10 @@ def test_a_part_of_an_unknown_class_is_free_and_does_not_count(name):
     plant.ids += ("red_1",)
     plant.position = np.vstack([plant.position, [0.0, 0.0]])
     plant.drift = plant.coming = np.zeros_like(plant.position)
-    _, asked, progress = planner.plan(ready(planner, plant.seen()), plant.seen(), 0.0)
+    _, request, progress = planner.plan(ready(planner, plant.seen()), plant.seen(), 0.0)
     assert progress.phase == "running"
-    assert np.all(np.abs(asked.forces.force[-1]) < 0.02 * RIG.force_unit)
-    assert np.all(asked.forces.tolerance[-1] > 0)
+    assert np.all(np.abs(request.forces.force[-1]) < 0.02 * RIG.force_unit)
+    assert np.all(request.forces.tolerance[-1] > 0)
     _, _, progress = run(planner, plant)
     assert progress.phase == "done"
 
@@ -267,10 +269,10 @@ def test_the_same_image_again_gets_the_same_answer_and_changes_nothing():
     scenario = load_scenario("follow_2")
     plant, planner = Plant(scenario), Planner(RIG, scenario)
     state, _, _ = run(planner, plant, cycles=5)
-    state, asked, progress = planner.plan(state, plant.seen(), 5 * T)
+    state, request, progress = planner.plan(state, plant.seen(), 5 * T)
     again_state, again, again_progress = planner.plan(state, plant.seen(), 5 * T)
     assert again_state is state
-    assert again is asked
+    assert again is request
     assert again_progress is progress
 
 
@@ -280,8 +282,8 @@ def test_the_same_image_again_after_a_stop_is_answered_by_rest():
     scenario = load_scenario("follow_2")
     plant, planner = Plant(scenario), Planner(RIG, scenario)
     state, _, _ = run(planner, plant, cycles=5)
-    state, asked, _ = planner.plan(state, plant.seen(), 5 * T)
-    assert len(asked.parts)
+    state, request, _ = planner.plan(state, plant.seen(), 5 * T)
+    assert len(request.parts)
     stopped = planner.stop(state)
     again_state, again, _ = planner.plan(stopped, plant.seen(), 5 * T)
     assert again_state is stopped
@@ -294,8 +296,8 @@ def test_time_going_back_begins_a_running_task_again():
     state, _, progress = run(planner, plant, cycles=50, t=1000.0)
     assert progress.time_s == pytest.approx(4.9)
     fresh = Plant(scenario)
-    state, asked, progress = planner.plan(state, fresh.seen(), 0.0)
-    assert (len(asked.parts), progress.phase, progress.time_s) == (2, "running", 0.0)
+    state, request, progress = planner.plan(state, fresh.seen(), 0.0)
+    assert (len(request.parts), progress.phase, progress.time_s) == (2, "running", 0.0)
     assert progress.period_s == pytest.approx(T)
     _, _, progress = run(planner, fresh, t=0.0, state=state)
     assert progress.phase == "done"
@@ -306,8 +308,8 @@ def test_time_put_on_ends_a_running_task():
     scenario = load_scenario("follow_2")
     plant, planner = Plant(scenario), Planner(RIG, scenario)
     state, _, _ = run(planner, plant, cycles=50, t=1000.0)
-    late, asked, progress = planner.plan(state, plant.seen(), 1e9)
-    assert (late.task.reason, len(asked.parts)) == (Reason.NO_PARTS, 0)
+    late, request, progress = planner.plan(state, plant.seen(), 1e9)
+    assert (late.task.reason, len(request.parts)) == (Reason.NO_PARTS, 0)
     assert says(progress.text, "aborted after 4.9 s", "no parts for 999998995 s", "clock")
     _, _, progress = planner.plan(state, plant.seen(), state.estimator.stamp + 9.9)
     assert progress.phase is not Phase.ABORTED
@@ -318,8 +320,8 @@ def test_time_going_back_leaves_a_finished_task_finished():
     planner = Planner(RIG, scenario)
     plant = Plant(scenario)
     state, _, _ = run(planner, plant, t=1000.0)
-    state, asked, progress = planner.plan(state, Plant(scenario).seen(), 0.0)
-    assert (progress.phase, len(asked.parts)) == ("done", 0)
+    state, request, progress = planner.plan(state, Plant(scenario).seen(), 0.0)
+    assert (progress.phase, len(request.parts)) == ("done", 0)
 
 
 def test_the_same_input_gives_the_same_output_to_the_last_bit():
@@ -350,8 +352,8 @@ def test_forces_are_bounded_however_wild_the_measured_drift():
     scenario = load_scenario("sort_4")
     plant, planner = Plant(scenario), Planner(RIG, scenario)
     parts = replace(plant.seen(), velocity=np.full((4, 2), 5.0))
-    _, asked, _ = planner.plan(ready(planner, parts), parts, 0.0)
-    assert np.all(np.abs(asked.forces.force) <= RIG.force_unit)
+    _, request, _ = planner.plan(ready(planner, parts), parts, 0.0)
+    assert np.all(np.abs(request.forces.force) <= RIG.force_unit)
 
 
 def test_a_scenario_that_does_not_fit_the_plate_is_refused_at_once():

@@ -62,8 +62,8 @@ def test_a_task_runs_until_it_is_ended(loop):
     run = loop.begin()
     assert loop.tasks.running is run
     for k in range(3):
-        wanted = loop.tasks.plan(run, PARTS, k * T)
-    assert wanted.parts.ids == IDS
+        expected = loop.tasks.plan(run, PARTS, k * T)
+    assert expected.parts.ids == IDS
     assert run.progress.parts_total == 4
     assert loop.tasks.end(LOST)
     assert loop.tasks.running is None

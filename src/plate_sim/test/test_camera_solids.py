@@ -266,13 +266,13 @@ def test_light_steps_and_flickers_in_time():
 def test_heights_and_sizes_of_a_run():
     """Of the rig file, unless set; sizes by seed and name, whatever else there is."""
     rig, scenario = load_rig(), load_scenario("sort_4")
-    flat, said = (
+    flat, reported = (
         Simulation(replace(rig, parts=replace(rig.parts, height_m=height)), scenario, 3, noise=0.0)
         for height in (0.0, 0.02)
     )
     kept = Simulation(rig, scenario, 3, Disturbances(part_height_m=0.02), noise=0.0)
-    assert np.array_equal(said.capture(), kept.capture())
-    assert np.abs(said.capture().astype(float) - flat.capture()).max() > 50
+    assert np.array_equal(reported.capture(), kept.capture())
+    assert np.abs(reported.capture().astype(float) - flat.capture()).max() > 50
     spread = Disturbances(size_spread=0.3)
     one, two = (Simulation(rig, scenario, seed, spread, noise=0.0) for seed in (3, 4))
     assert np.all(np.abs(one._view._size - 1) <= 0.3)

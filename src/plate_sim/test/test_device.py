@@ -192,9 +192,9 @@ def test_what_is_played_is_recorded_whole():
     for stretch in host.stretches:
         if stretch.table:
             motion = PlateMotion.of_motors(RIG, stretch.times, stretch.motors)
-            asked = {1: first, 2: second}[stretch.table]
+            requested = {1: first, 2: second}[stretch.table]
             t = np.linspace(0, PERIOD, 77)
-            np.testing.assert_allclose(motion.pose(t), asked.pose(t), atol=2e-7)
+            np.testing.assert_allclose(motion.pose(t), requested.pose(t), atol=2e-7)
 
 
 def test_a_brake_is_recorded_as_it_was():
@@ -291,8 +291,8 @@ def test_the_board_holds_what_the_device_has_not_read():
     for _ in range(300):
         host.say(Heartbeat(7))  # 4 kB at once, of which it holds 2
     host.wait(0.2)
-    said = [m for m in host.said if isinstance(m, Pulse) and m.host_ns == 7]
-    assert 100 < len(said) < 200
+    reported = [m for m in host.said if isinstance(m, Pulse) and m.host_ns == 7]
+    assert 100 < len(reported) < 200
 
 
 def test_motion_of_motors_is_checked():

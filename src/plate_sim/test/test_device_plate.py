@@ -47,9 +47,9 @@ def test_sensors_measure_the_simulated_plate(bandwidth):
     # From the second cycle on both have the same past, except for that tick.
     for _ in range(30):
         motion, state = realise(hung, state, cycle)
-        told = np.array([plate.moved(np.stack(at)) for at in zip(q, qd, qdd, strict=True)])
+        reported = np.array([plate.moved(np.stack(at)) for at in zip(q, qd, qdd, strict=True)])
     travel, _, accel = motor_record(hung, motion, t)
     # Both motions are far from the command, and equal except for the changed levers away from home.
     assert np.max(np.abs(travel - q)) > 2e-4
-    np.testing.assert_allclose(told[:, 0], travel, atol=0.01 * np.max(np.abs(travel)))
-    np.testing.assert_allclose(told[:, 1], accel, atol=0.01 * np.max(np.abs(accel)))
+    np.testing.assert_allclose(reported[:, 0], travel, atol=0.01 * np.max(np.abs(travel)))
+    np.testing.assert_allclose(reported[:, 1], accel, atol=0.01 * np.max(np.abs(accel)))

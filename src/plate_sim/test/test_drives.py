@@ -26,11 +26,11 @@ LIMITS = Limits(0.01, 1.0, 100.0)
 
 def frames(drives, place, word=15):
     """Frames of a master in one cycle: all motors to a position [m]."""
-    told = [
+    reported = [
         (RPDO + d.node, struct.pack("<Hi", word, round(d.sign * d.counts_per_m * place) + zero))
         for d, zero in zip(DRIVES, drives.zeros.tolist(), strict=True)
     ]
-    return [*told, (SYNC, b"")]
+    return [*reported, (SYNC, b"")]
 
 
 def enabled():

@@ -66,13 +66,13 @@ class Loop:
         self.answer = answer
         self.images, self.infos, self.truths, self.reports = [], [], [], []
         self.ear = Node("ear")
-        for kind, topic, heard, qos in (
+        for kind, topic, received, qos in (
             (CameraInfo, "camera_info", self.infos.append, CAMERA),
             (PartsMsg, "ground_truth", self.truths.append, DATA),
             (DiagnosticArray, "diagnostics", self.reports.append, DATA),
             (Image, "image_raw", self.on_image, CAMERA),
         ):
-            self.ear.create_subscription(kind, topic, heard, qos)
+            self.ear.create_subscription(kind, topic, received, qos)
         self.tables = self.ear.create_publisher(JointTrajectory, "motor_setpoints", DATA)
         self.simulator = SimulatorNode()
         start_nodes(self.simulator)

@@ -42,8 +42,8 @@ def scenes(seed, count, parts=3):
 def test_true_error_is_below_the_tolerance(tolerance):
     for cycle, position, velocity, mu in scenes(0, 40):
         truth, run = (
-            simulate(cycle, position, velocity, mu, samples=1, tolerance=wanted).position[-1]
-            for wanted in (1e-12, tolerance)
+            simulate(cycle, position, velocity, mu, samples=1, tolerance=expected).position[-1]
+            for expected in (1e-12, tolerance)
         )
         assert np.max(np.linalg.norm(run - truth, axis=1)) < tolerance
 

@@ -255,8 +255,8 @@ def test_unequal_motors_couple_as_in_the_transfer_matrix():
     hung = rig(mass=LOPSIDED, stiffness=COUPLED, motor_gain=UNEQUAL, feedforward=WEIGHED)
     w = 2 * pi * 25.0
     mass, damping, stiffness = np.array(LOPSIDED), np.array(DAMPING), np.array(COUPLED)
-    asked = PUSH @ np.diag(UNEQUAL) @ np.linalg.pinv(PUSH) @ (stiffness - w**2 * mass)
-    expected = np.linalg.solve(stiffness - w**2 * mass + 1j * w * damping, asked)
+    requested = PUSH @ np.diag(UNEQUAL) @ np.linalg.pinv(PUSH) @ (stiffness - w**2 * mass)
+    expected = np.linalg.solve(stiffness - w**2 * mass + 1j * w * damping, requested)
     assert np.min(np.abs(expected[~np.eye(3, dtype=bool)])) > 1e-3
     for column, amplitude in enumerate(1e-4 * np.eye(3)):
         response = steady(hung, wave(25.0, amplitude, harmonic=5), 1e-4, 25.0)
@@ -294,15 +294,15 @@ def test_a_realised_motion_can_be_commanded():
 def test_overtravel_is_reported():
     hung, state = rig(), PlateState.at_rest()
     cycle = wave(FREQUENCY, [1e-3, 0, 0], harmonic=2)
-    told = []
+    reported = []
     for _ in range(60):
         motion, state = realise(hung, state, cycle)
         travel, _, _ = motor_record(hung, motion, np.linspace(0, motion.period, 401))
-        told.append(state.overtravel_m)
+        reported.append(state.overtravel_m)
         expected = max(0.0, np.max(np.abs(travel)) - RIG.limits.stroke_m)
         assert state.overtravel_m == pytest.approx(expected, abs=2e-5)
-    assert told[0] == 0
-    assert told[-1] == pytest.approx(1e-3 / (2 * RATIO) - RIG.limits.stroke_m, rel=1e-2)
+    assert reported[0] == 0
+    assert reported[-1] == pytest.approx(1e-3 / (2 * RATIO) - RIG.limits.stroke_m, rel=1e-2)
     far, _ = realise(RIG, PlateState.at_rest(), wave(5.0, [0.0, 0.011, 0.0]))
     assert overtravel(RIG, far) == pytest.approx(1e-3)
 
@@ -317,11 +317,11 @@ def test_unequal_motors_at_resonance_miss_what_was_commanded_by_half():
     cycle, state = PlateCycle.from_samples(0.1, waves), PlateState.at_rest()
     for _ in range(30):
         motion, state = realise(hung, state, cycle)
-    asked, got = (
+    requested, got = (
         np.fft.rfft(motor_record(RIG, m, t)[2], axis=0)[1:4]
         for m in (realise(RIG, PlateState.at_rest(), cycle)[0], motion)
     )
-    assert np.linalg.norm(got - asked) > 0.5 * np.linalg.norm(asked)
+    assert np.linalg.norm(got - requested) > 0.5 * np.linalg.norm(requested)
 
 
 @pytest.mark.parametrize(

@@ -42,8 +42,8 @@ class Loop:
         force = (request - self.drift) * self.rig.parts.mass_kg / period
         allowed = np.full_like(force, tolerance * self.rig.parts.mass_kg / period)
         parts = Parts.make(self.ids, self.position, self.drift).take(order)
-        asked = CycleRequest.make(parts, force[order], allowed[order])
-        self.answer = self.controller.answer(asked, None if blind else self.running)
+        requested = CycleRequest.make(parts, force[order], allowed[order])
+        self.answer = self.controller.answer(requested, None if blind else self.running)
         self.pass_cycle()
         return self.drift
 
@@ -198,8 +198,8 @@ def test_part_driven_outward_stays_and_does_not_stop_the_other(rig, method, way)
         loop.step(np.array([0.02 * way, [0.005, 0.005]]))
         assert np.all(np.abs(loop.position) < half)
     # The other part does not wait: it covers most of its requested distance.
-    asked = 25 * loop.answer.cycle.period * np.array([0.005, 0.005])
-    assert np.all(loop.position[1] - position[1] > 0.6 * asked)
+    requested = 25 * loop.answer.cycle.period * np.array([0.005, 0.005])
+    assert np.all(loop.position[1] - position[1] > 0.6 * requested)
     # It returns when requested.
     before = loop.position[0] @ way
     for _ in range(8):
@@ -308,8 +308,8 @@ def test_any_number_of_parts_is_answered(rig, method, count):
     parts = Parts.make(tuple(f"a_{i}" for i in range(count)), position)
     aim = position + [0.03, 0.01]
     targets = [Targets(aim, aim, np.full((count, 2), 0.1), clear) for clear in (0.0, 0.019, 0.05)]
-    asked = [CycleRequest.make(parts, targets=each) for each in targets]
-    for request in (*asked, CycleRequest.make(parts, np.full((count, 2), 1e-3))):
+    requested = [CycleRequest.make(parts, targets=each) for each in targets]
+    for request in (*requested, CycleRequest.make(parts, np.full((count, 2), 1e-3))):
         answer = controller.answer(request, PlateCycle.rest(0.1))
         assert usage(rig, answer.cycle).worst <= 1
         assert np.all(np.isfinite(answer.solution.residual))

@@ -25,7 +25,7 @@ def ring(half, count=24):
 
 
 def test_force_example_of_the_paper():
-    matrix, wanted = example_311()
+    matrix, expected = example_311()
     printed = [
         [-0.316, -0.707, 0.707, 0.316],
         [-0.949, -0.394, 0.141, 0.707],
@@ -33,8 +33,8 @@ def test_force_example_of_the_paper():
         [0.316, -0.919, -0.990, 0.707],
     ]
     np.testing.assert_allclose(matrix, printed, atol=5.1e-4)
-    np.testing.assert_allclose(wanted, [0.4, -0.4, 0.4, 0])
-    weights, condition = solve_weights(matrix, wanted)
+    np.testing.assert_allclose(expected, [0.4, -0.4, 0.4, 0])
+    weights, condition = solve_weights(matrix, expected)
     assert np.all(np.abs(weights - [0.58, -0.39, 0.48, -0.095]) < [5e-3, 5e-3, 5e-3, 5e-4])
     assert condition == pytest.approx(np.linalg.cond(matrix), rel=1e-9)
 
@@ -46,9 +46,9 @@ def test_curl_example_of_the_paper():
     np.testing.assert_allclose(matrix[:2], printed[:2], atol=5.1e-4)
     # The paper prints .633 for 1/sqrt(2.5) = .63246: half a unit and a bit.
     assert np.all(np.abs(matrix[2] - printed[2]) < [6e-4, 5e-3, 5e-3])
-    wanted = len(centres) / MU_M_G * np.array([0, 0, -0.05])
-    np.testing.assert_allclose(wanted, [0, 0, -1.5])
-    weights, _ = solve_weights(matrix, wanted)
+    expected = len(centres) / MU_M_G * np.array([0, 0, -0.05])
+    np.testing.assert_allclose(expected, [0, 0, -1.5])
+    weights, _ = solve_weights(matrix, expected)
     np.testing.assert_allclose(weights, [-0.59, -0.27, -0.53], atol=5e-3)
 
 
@@ -87,9 +87,9 @@ def test_a_part_on_a_centre_feels_no_force_from_it():
 def test_more_centres_than_rows_give_the_smallest_weights():
     rng = np.random.default_rng(0)
     matrix = rotation_matrix(rng.uniform(-HALF, HALF, (3, 2)), ring(HALF))
-    wanted = rng.normal(size=6)
-    weights, _ = solve_weights(matrix, wanted)
-    np.testing.assert_allclose(weights, np.linalg.lstsq(matrix, wanted, rcond=None)[0], rtol=1e-9)
+    expected = rng.normal(size=6)
+    weights, _ = solve_weights(matrix, expected)
+    np.testing.assert_allclose(weights, np.linalg.lstsq(matrix, expected, rcond=None)[0], rtol=1e-9)
 
 
 # Section 3.1.5: parts that come close.
@@ -111,12 +111,12 @@ def test_bounded_gain_bounds_the_weights_and_keeps_what_can_be_met(max_gain):
     together, apart = np.array([0.1, 0.1, 0.0, 0.0]), np.array([0.1, -0.1, 0.0, 0.0])
     free, _ = solve_weights(matrix, apart)
     assert np.linalg.norm(free) > 30 * np.linalg.norm(apart), "not a hard case"
-    for wanted in (together, apart, together + apart):
-        weights, _ = solve_weights(matrix, wanted, max_gain)
-        assert np.linalg.norm(weights) <= max_gain * np.linalg.norm(wanted)
+    for expected in (together, apart, together + apart):
+        weights, _ = solve_weights(matrix, expected, max_gain)
+        assert np.linalg.norm(weights) <= max_gain * np.linalg.norm(expected)
         # The part that both share is met, the difference is given up.
         force = matrix @ weights
-        np.testing.assert_allclose(force[:2].mean(), wanted[:2].mean(), atol=2e-3)
+        np.testing.assert_allclose(force[:2].mean(), expected[:2].mean(), atol=2e-3)
         np.testing.assert_allclose(force[0], force[1], atol=2e-3)
 
 

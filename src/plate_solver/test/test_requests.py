@@ -194,7 +194,7 @@ def test_the_order_of_numbers_in_memory_does_not_matter():
 def test_force_on_the_cycle_map_is_the_growth_of_the_drift(scene, method, count):
     solver = method(RIG)
     unit = RIG.friction.accel * solver.steering_period(count) ** 2
-    missed, asked = 0.0, 0.0
+    missed, requested = 0.0, 0.0
     for seed in range(5):
         solver.reset()
         rng, position = scene(seed, count)
@@ -206,8 +206,8 @@ def test_force_on_the_cycle_map_is_the_growth_of_the_drift(scene, method, count)
         got = (travel(solution.cycle, position, 0.2 * velocity) - drift) / unit
         np.testing.assert_allclose(force - got, solution.residual, atol=0.1 * 0.03)
         missed += np.sum((force - got) ** 2)
-        asked += np.sum(force**2)
-    assert np.sqrt(missed / asked) < 0.1
+        requested += np.sum(force**2)
+    assert np.sqrt(missed / requested) < 0.1
 
 
 @BOTH

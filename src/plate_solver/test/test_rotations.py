@@ -115,13 +115,13 @@ def test_force_slopes_agree_with_differences(rig):
     rng = np.random.default_rng(3)
     position = rng.uniform(-1, 1, (3, 2)) * rig.plate.half
     velocity = 0.02 * rng.normal(size=(3, 2))
-    asked = np.array([1, 1, 0, 1, 1, 1, 0, 1, 1], bool)
+    requested = np.array([1, 1, 0, 1, 1, 1, 0, 1, 1], bool)
 
     def forces(theta):
         _, twist, dt = sequence.samples(theta)
-        return step_forces(position, velocity, twist, dt).ravel()[asked]
+        return step_forces(position, velocity, twist, dt).ravel()[requested]
 
-    found = force_slopes(parameters, sequence.plain, position, velocity, asked)
+    found = force_slopes(parameters, sequence.plain, position, velocity, requested)
     step = 1e-6
     for p, d in enumerate(step * np.eye(len(parameters))):
         slope = (forces(parameters + d) - forces(parameters - d)) / (2 * step)

@@ -40,9 +40,9 @@ def check(times, matrix, wanted, cost, miss_cost):
 def test_optimum_is_that_of_highs_and_proves_itself(seed):
     rng = np.random.default_rng(seed)
     rows, count = int(rng.integers(3, 14)), 120
-    matrix, wanted = rng.normal(size=(rows, count)), rng.normal(size=rows)
-    wanted[rng.random(rows) < 0.3] = 0  # ties
-    problem = matrix, wanted, rng.uniform(0.5, 2, count), rng.uniform(0.2, 3, rows)
+    matrix, expected = rng.normal(size=(rows, count)), rng.normal(size=rows)
+    expected[rng.random(rows) < 0.3] = 0  # ties
+    problem = matrix, expected, rng.uniform(0.5, 2, count), rng.uniform(0.2, 3, rows)
     times = min_time(*problem)
     check(times, *problem)
     assert times.cost == pytest.approx(by_highs(*problem), rel=1e-6)
@@ -51,11 +51,11 @@ def test_optimum_is_that_of_highs_and_proves_itself(seed):
 def test_last_basis_is_a_good_start(scene):
     _, position = scene(3, 8)
     rng = np.random.default_rng(0)
-    wanted, ones, dear = rng.normal(size=16), np.ones(len(LIBRARY.twist)), np.full(16, 50.0)
-    cold = min_time(LIBRARY.forces(position), wanted, ones, dear)
+    expected, ones, dear = rng.normal(size=16), np.ones(len(LIBRARY.twist)), np.full(16, 50.0)
+    cold = min_time(LIBRARY.forces(position), expected, ones, dear)
     # The parts have moved and the request has changed, some of it to the opposite.
     matrix = LIBRARY.forces(position + 1e-3 * rng.normal(size=position.shape))
-    changed = wanted + 0.1 * rng.normal(size=16)
+    changed = expected + 0.1 * rng.normal(size=16)
     changed[:2] *= -1
     warm = min_time(matrix, changed, ones, dear, cold.basis)
     check(warm, matrix, changed, ones, dear)
@@ -67,9 +67,9 @@ def test_last_basis_is_a_good_start(scene):
 
 
 def test_basis_of_dependent_columns_does_no_harm():
-    matrix, wanted = np.random.default_rng(0).normal(size=(4, 30)), np.ones(4)
+    matrix, expected = np.random.default_rng(0).normal(size=(4, 30)), np.ones(4)
     matrix[:, 1] = matrix[:, 0]
-    problem = matrix, wanted, np.ones(30), np.full(4, 9.0)
+    problem = matrix, expected, np.ones(30), np.full(4, 9.0)
     times = min_time(*problem, start=np.array([0, 1, 2, 3]))
     check(times, *problem)
 

@@ -107,15 +107,15 @@ def test_nothing_but_commands_and_refusals(name, extra, data):
 
 
 def test_calls_have_the_text_of_a_command():
-    said = {name: call_text(read(name, values)) for name, values in GOOD.items()}
-    assert said["stop"] == "plate stop"
-    assert said["learn_plate"] == "ros2 service call /detector/learn_plate std_srvs/srv/Trigger"
-    assert said["start"] == "plate goal sort_4"
-    assert said["set"] == "plate set solver method rotations"
-    assert "{targets: [{id: black_1, x: 0.1, y: -0.05, angle: .nan}]}" in said["move"]
-    assert said["enable"] == "plate enable"
-    assert said["reset"].startswith("plate set simulator seed 3 && ros2 service call")
-    assert "id" not in shlex.split(said["place"])[-1]
+    reported = {name: call_text(read(name, values)) for name, values in GOOD.items()}
+    assert reported["stop"] == "plate stop"
+    assert reported["learn_plate"] == "ros2 service call /detector/learn_plate std_srvs/srv/Trigger"
+    assert reported["start"] == "plate goal sort_4"
+    assert reported["set"] == "plate set solver method rotations"
+    assert "{targets: [{id: black_1, x: 0.1, y: -0.05, angle: .nan}]}" in reported["move"]
+    assert reported["enable"] == "plate enable"
+    assert reported["reset"].startswith("plate set simulator seed 3 && ros2 service call")
+    assert "id" not in shlex.split(reported["place"])[-1]
 
 
 def test_what_a_shell_would_take_for_its_own_is_quoted():

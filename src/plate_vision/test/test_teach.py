@@ -289,9 +289,9 @@ def test_names_that_nothing_would_be_called_by_are_refused(name, tmp_path):
 def test_the_program_teaches_lists_renames_merges_and_deletes(folder, capsys):
     rig = ["--rig", str(config_path("rig.yaml")), "--bare", "bare.png"]
     main(["screw", "screw.png", "bare.png", *rig])
-    said = capsys.readouterr()
-    assert "corners, no symmetry; diameter 13.6" in said.out
-    assert re.search("warning: example not used: type screw: bare.*: ", said.err)
+    output = capsys.readouterr()
+    assert "corners, no symmetry; diameter 13.6" in output.out
+    assert re.search("warning: example not used: type screw: bare.*: ", output.err)
     main(["bracket", "bracket.png", *rig])
     types = load_part_types("parts.yaml")
     assert type_differences(types["screw"], TYPES["screw"], 1000.0)[0] < 0.25
@@ -346,9 +346,9 @@ def test_errors_are_reported_in_one_line(folder, capsys, words, message):
     with pytest.raises(SystemExit) as end:
         main([*words, *(["--rig", str(config_path("rig.yaml"))] if words[0] == "nut" else [])])
     assert end.value.code == 2
-    said = capsys.readouterr().err.splitlines()
-    assert message in said[-1]
-    assert "error: " in said[-1]
+    output = capsys.readouterr().err.splitlines()
+    assert message in output[-1]
+    assert "error: " in output[-1]
 
 
 def test_side_faces_are_not_learned_and_the_height_stays(rng, tmp_path):
