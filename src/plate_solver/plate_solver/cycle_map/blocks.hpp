@@ -42,14 +42,14 @@ PLATE_WIDE inline void trace(View<float, 2> state, SamplesOf<float> pose, Sample
         const float px = pose(k, 0), py = pose(k, 1);
         const float u = twist(k, 0), v = twist(k, 1), w = twist(k, 2);
         for (int block = 0; block < state.size(0); block++) {
-            float* __restrict own = state[block];
+            float* __restrict parts = state[block];
             float* __restrict step = &steps(k, block, 0);
 #pragma omp simd
             for (int i = 0; i < LANES; i++) {
-                const float rx = own[X + i] - px, ry = own[Y + i] - py;
-                const float dx = u - w * ry - own[VX + i], dy = v + w * rx - own[VY + i];
+                const float rx = parts[X + i] - px, ry = parts[Y + i] - py;
+                const float dx = u - w * ry - parts[VX + i], dy = v + w * rx - parts[VY + i];
                 const float inverse = 1 / std::sqrt(dx * dx + dy * dy + TINY);
-                float gain = own[BOUND + i] * inverse;
+                float gain = parts[BOUND + i] * inverse;
                 const float slips = gain < 1 ? 1.0f : 0.0f;
                 gain = std::min(gain, 1.0f);
                 const float a = dx * inverse * slips;  // unit vector of the slip
@@ -58,9 +58,9 @@ PLATE_WIDE inline void trace(View<float, 2> state, SamplesOf<float> pose, Sample
                 step[XY + i] = -gain * a * b;
                 step[YY + i] = gain * (1 - b * b);
                 step[ARM_X + i] = rx, step[ARM_Y + i] = ry;
-                const float vx = own[VX + i] + gain * dx, vy = own[VY + i] + gain * dy;
-                own[VX + i] = vx, own[VY + i] = vy;
-                own[X + i] += dt * vx, own[Y + i] += dt * vy;
+                const float vx = parts[VX + i] + gain * dx, vy = parts[VY + i] + gain * dy;
+                parts[VX + i] = vx, parts[VY + i] = vy;
+                parts[X + i] += dt * vx, parts[Y + i] += dt * vy;
             }
         }
     }

@@ -84,7 +84,7 @@ PLATE_WIDE inline void end_state_gradient(Matrix& parts, int count, Samples pose
     for (int k = 0; k < n; k++) {
         const double u = twist(k, 0), v = twist(k, 1), w = twist(k, 2), h = dt[k];
         const double x = pose(k, 0), y = pose(k, 1);
-        double* __restrict own = past[k * PAST];
+        double* __restrict stored = past[k * PAST];
 #pragma omp simd
         for (int i = 0; i < wide; i++) {
             const double rx = px[i] - x, ry = py[i] - y;
@@ -94,15 +94,15 @@ PLATE_WIDE inline void end_state_gradient(Matrix& parts, int count, Samples pose
             const double gain = bound * inverse;
             const bool slips = d > bound;
             const double a = dx * inverse, b = dy * inverse;  // unit vector of the slip
-            own[ARM_X * wide + i] = rx, own[ARM_Y * wide + i] = ry;
-            own[XX * wide + i] = slips ? gain * (1 - a * a) : 1.0;
-            own[XY * wide + i] = slips ? -gain * a * b : 0.0;
-            own[YY * wide + i] = slips ? gain * (1 - b * b) : 1.0;
-            own[FX * wide + i] = slips ? accel[i] * a : 0.0;
-            own[FY * wide + i] = slips ? accel[i] * b : 0.0;
+            stored[ARM_X * wide + i] = rx, stored[ARM_Y * wide + i] = ry;
+            stored[XX * wide + i] = slips ? gain * (1 - a * a) : 1.0;
+            stored[XY * wide + i] = slips ? -gain * a * b : 0.0;
+            stored[YY * wide + i] = slips ? gain * (1 - b * b) : 1.0;
+            stored[FX * wide + i] = slips ? accel[i] * a : 0.0;
+            stored[FY * wide + i] = slips ? accel[i] * b : 0.0;
             vx[i] += gain * dx;
             vy[i] += gain * dy;
-            own[AFTER_X * wide + i] = vx[i], own[AFTER_Y * wide + i] = vy[i];
+            stored[AFTER_X * wide + i] = vx[i], stored[AFTER_Y * wide + i] = vy[i];
             px[i] += h * vx[i];
             py[i] += h * vy[i];
         }
@@ -116,7 +116,7 @@ PLATE_WIDE inline void end_state_gradient(Matrix& parts, int count, Samples pose
         std::fill_n(bx, wide, coast * ax[0]), std::fill_n(by, wide, coast * ay[0]);
         for (int k = n - 1; k >= 0; k--) {
             const double h = dt[k], w = twist(k, 2);
-            const double* __restrict own = past[k * PAST];
+            const double* __restrict stored = past[k * PAST];
             double* __restrict on_dt = &by_dt(k, axis * count);
             double* __restrict on_u = &by_twist(0, k, axis * count);
             double* __restrict on_v = &by_twist(1, k, axis * count);
@@ -125,17 +125,17 @@ PLATE_WIDE inline void end_state_gradient(Matrix& parts, int count, Samples pose
             double* __restrict on_y = &by_pose(1, k, axis * count);
 #pragma omp simd
             for (int i = 0; i < count; i++) {
-                const double* at = own + i;
+                const double* part = stored + i;
                 const double cx = bx[i] + h * ax[i], cy = by[i] + h * ay[i];
-                on_dt[i] = ax[i] * at[AFTER_X * wide] + ay[i] * at[AFTER_Y * wide] +
-                           cx * at[FX * wide] + cy * at[FY * wide];
-                const double gx = at[XX * wide] * cx + at[XY * wide] * cy;
-                const double gy = at[XY * wide] * cx + at[YY * wide] * cy;
+                on_dt[i] = ax[i] * part[AFTER_X * wide] + ay[i] * part[AFTER_Y * wide] +
+                           cx * part[FX * wide] + cy * part[FY * wide];
+                const double gx = part[XX * wide] * cx + part[XY * wide] * cy;
+                const double gy = part[XY * wide] * cx + part[YY * wide] * cy;
                 bx[i] = cx - gx, by[i] = cy - gy;
                 ax[i] += w * gy;
                 ay[i] -= w * gx;
                 on_u[i] = gx, on_v[i] = gy;
-                on_w[i] = at[ARM_X * wide] * gy - at[ARM_Y * wide] * gx;
+                on_w[i] = part[ARM_X * wide] * gy - part[ARM_Y * wide] * gx;
                 on_x[i] = -w * gy, on_y[i] = w * gx;
             }
         }

@@ -48,14 +48,14 @@ PLATE_WIDE inline void trace_turning(View<float, 2> state, SamplesOf<float> pose
         const float px = pose(k, 0), py = pose(k, 1);
         const float u = twist(k, 0), v = twist(k, 1), s = twist(k, 2);
         for (int block = 0; block < state.size(0); block++) {
-            float* __restrict own = state[block];
+            float* __restrict parts = state[block];
             float* __restrict step = &steps(k, block, 0);
 #pragma omp simd
             for (int i = 0; i < LANES; i++) {
-                const float rx = own[X + i] - px, ry = own[Y + i] - py;
-                const float dx = u - s * ry - own[VX + i], dy = v + s * rx - own[VY + i];
-                const float dw = s - own[SPIN + i];
-                const float xx = own[SXX + i], xy = own[SXY + i], yy = own[SYY + i];
+                const float rx = parts[X + i] - px, ry = parts[Y + i] - py;
+                const float dx = u - s * ry - parts[VX + i], dy = v + s * rx - parts[VY + i];
+                const float dw = s - parts[SPIN + i];
+                const float xx = parts[SXX + i], xy = parts[SXY + i], yy = parts[SYY + i];
                 const float square = dx * dx + dy * dy;
                 const float by_gyration2 = 1 / (xx + yy), by_square = 1 / (square + slow2);
                 const float along = dx * dx * xx + 2 * dx * dy * xy + dy * dy * yy;
@@ -63,7 +63,7 @@ PLATE_WIDE inline void trace_turning(View<float, 2> state, SamplesOf<float> pose
                 const float jx = 2 * (dx * xx + dy * xy - dx * j) * by_square;
                 const float jy = 2 * (dx * xy + dy * yy - dy * j) * by_square;
                 const float inverse = 1 / std::sqrt(square + j * dw * dw + tiny);
-                float g = own[BOUND + i] * inverse;
+                float g = parts[BOUND + i] * inverse;
                 const float slips = g < 1 ? 1.0f : 0.0f;
                 g = std::min(g, 1.0f);
                 const float down = g * inverse * inverse * slips;
@@ -77,10 +77,10 @@ PLATE_WIDE inline void trace_turning(View<float, 2> state, SamplesOf<float> pose
                 step[7 * LANES + i] = turns * (g * jy - down * j * by);
                 step[8 * LANES + i] = lever * (g - down * dw * j * dw);
                 step[ARM_X + i] = rx, step[ARM_Y + i] = ry;
-                const float vx = own[VX + i] + g * dx, vy = own[VY + i] + g * dy;
-                const float spin = own[SPIN + i] + g * lever * dw;
-                own[VX + i] = vx, own[VY + i] = vy, own[SPIN + i] = spin;
-                own[X + i] += dt * vx, own[Y + i] += dt * vy, own[TURN + i] += dt * spin;
+                const float vx = parts[VX + i] + g * dx, vy = parts[VY + i] + g * dy;
+                const float spin = parts[SPIN + i] + g * lever * dw;
+                parts[VX + i] = vx, parts[VY + i] = vy, parts[SPIN + i] = spin;
+                parts[X + i] += dt * vx, parts[Y + i] += dt * vy, parts[TURN + i] += dt * spin;
             }
         }
     }
@@ -198,10 +198,10 @@ PLATE_WIDE inline void end_turning_gradient(Matrix& parts, int count, Samples po
     for (int k = 0; k < n; k++) {
         const double u = twist(k, 0), v = twist(k, 1), s = twist(k, 2), h = dt[k];
         const double x = pose(k, 0), y = pose(k, 1);
-        double* __restrict own = past[k * PAST];
+        double* __restrict stored = past[k * PAST];
 #pragma omp simd
         for (int i = 0; i < wide; i++) {
-            double* at = own + i;
+            double* part = stored + i;
             const double rx = px[i] - x, ry = py[i] - y, dw = s - w[i];
             const double dx = u - s * ry - vx[i], dy = v + s * rx - vy[i];
             const double gyration2 = xx[i] + yy[i], square = dx * dx + dy * dy;
@@ -217,21 +217,22 @@ PLATE_WIDE inline void end_turning_gradient(Matrix& parts, int count, Samples po
             // (bx, by) is the derivative of q^2/2 with respect to the slip velocity (dx, dy).
             const double bx = dx + 0.5 * dw * dw * jx, by = dy + 0.5 * dw * dw * jy;
             const double lever = j / gyration2, turns = dw / gyration2;
-            at[0] = g - down * dx * bx, at[wide] = -down * dx * by;
-            at[2 * wide] = -down * dx * j * dw;
-            at[3 * wide] = -down * dy * bx, at[4 * wide] = g - down * dy * by;
-            at[5 * wide] = -down * dy * j * dw;
-            at[6 * wide] = turns * (g * jx - down * j * bx);
-            at[7 * wide] = turns * (g * jy - down * j * by);
-            at[8 * wide] = lever * (g - down * dw * j * dw);
-            at[ARM_X * wide] = rx, at[ARM_Y * wide] = ry;
+            part[0] = g - down * dx * bx, part[wide] = -down * dx * by;
+            part[2 * wide] = -down * dx * j * dw;
+            part[3 * wide] = -down * dy * bx, part[4 * wide] = g - down * dy * by;
+            part[5 * wide] = -down * dy * j * dw;
+            part[6 * wide] = turns * (g * jx - down * j * bx);
+            part[7 * wide] = turns * (g * jy - down * j * by);
+            part[8 * wide] = lever * (g - down * dw * j * dw);
+            part[ARM_X * wide] = rx, part[ARM_Y * wide] = ry;
             const double force = slips ? accel[i] * inverse : 0.0;
-            at[BY_DT * wide] = force * dx, at[(BY_DT + 1) * wide] = force * dy;
-            at[(BY_DT + 2) * wide] = force * lever * dw;
+            part[BY_DT * wide] = force * dx, part[(BY_DT + 1) * wide] = force * dy;
+            part[(BY_DT + 2) * wide] = force * lever * dw;
             vx[i] += g * dx;
             vy[i] += g * dy;
             w[i] += g * lever * dw;
-            at[AFTER * wide] = vx[i], at[(AFTER + 1) * wide] = vy[i], at[(AFTER + 2) * wide] = w[i];
+            part[AFTER * wide] = vx[i], part[(AFTER + 1) * wide] = vy[i];
+            part[(AFTER + 2) * wide] = w[i];
             px[i] += h * vx[i];
             py[i] += h * vy[i];
         }
@@ -247,7 +248,7 @@ PLATE_WIDE inline void end_turning_gradient(Matrix& parts, int count, Samples po
         std::fill_n(aw, wide, axis == 2 ? 1.0 : 0.0), std::fill_n(bw, wide, coast * aw[0]);
         for (int k = n - 1; k >= 0; k--) {
             const double h = dt[k], s = twist(k, 2);
-            const double* __restrict own = past[k * PAST];
+            const double* __restrict stored = past[k * PAST];
             double* __restrict on_dt = &by_dt(k, axis * count);
             double* __restrict on_u = &by_twist(0, k, axis * count);
             double* __restrict on_v = &by_twist(1, k, axis * count);
@@ -256,20 +257,20 @@ PLATE_WIDE inline void end_turning_gradient(Matrix& parts, int count, Samples po
             double* __restrict on_y = &by_pose(1, k, axis * count);
 #pragma omp simd
             for (int i = 0; i < count; i++) {
-                const double* at = own + i;
+                const double* part = stored + i;
                 const double cx = bx[i] + h * ax[i], cy = by[i] + h * ay[i];
                 const double cw = bw[i] + h * aw[i];
-                on_dt[i] = ax[i] * at[AFTER * wide] + ay[i] * at[(AFTER + 1) * wide] +
-                           aw[i] * at[(AFTER + 2) * wide] + cx * at[BY_DT * wide] +
-                           cy * at[(BY_DT + 1) * wide] + cw * at[(BY_DT + 2) * wide];
-                const double gx = at[0] * cx + at[3 * wide] * cy + at[6 * wide] * cw;
-                const double gy = at[wide] * cx + at[4 * wide] * cy + at[7 * wide] * cw;
-                const double gw = at[2 * wide] * cx + at[5 * wide] * cy + at[8 * wide] * cw;
+                on_dt[i] = ax[i] * part[AFTER * wide] + ay[i] * part[(AFTER + 1) * wide] +
+                           aw[i] * part[(AFTER + 2) * wide] + cx * part[BY_DT * wide] +
+                           cy * part[(BY_DT + 1) * wide] + cw * part[(BY_DT + 2) * wide];
+                const double gx = part[0] * cx + part[3 * wide] * cy + part[6 * wide] * cw;
+                const double gy = part[wide] * cx + part[4 * wide] * cy + part[7 * wide] * cw;
+                const double gw = part[2 * wide] * cx + part[5 * wide] * cy + part[8 * wide] * cw;
                 bx[i] = cx - gx, by[i] = cy - gy, bw[i] = cw - gw;
                 ax[i] += s * gy;
                 ay[i] -= s * gx;
                 on_u[i] = gx, on_v[i] = gy;
-                on_w[i] = at[ARM_X * wide] * gy - at[ARM_Y * wide] * gx + gw;
+                on_w[i] = part[ARM_X * wide] * gy - part[ARM_Y * wide] * gx + gw;
                 on_x[i] = -s * gy, on_y[i] = s * gx;
             }
         }

@@ -22,7 +22,7 @@ template <class Number>
     constexpr int VECTOR = LANES_OF<Number>;
     const int wide = root.columns;
     for (int j = 0; j < count; j++) {
-        Number* __restrict own = root[j];
+        Number* __restrict row = root[j];
         const int from = j / VECTOR * VECTOR;
         int k = 0;
         for (; k + 4 <= j; k += 4) {
@@ -31,34 +31,34 @@ template <class Number>
             const Number by_a = a[j], by_b = b[j], by_c = c[j], by_d = d[j];
 #pragma omp simd
             for (int i = from; i < wide; i++)
-                own[i] = own[i] - a[i] * by_a - b[i] * by_b - c[i] * by_c - d[i] * by_d;
+                row[i] = row[i] - a[i] * by_a - b[i] * by_b - c[i] * by_c - d[i] * by_d;
         }
         for (; k < j; k++) {
             const Number* __restrict above = root[k];
             const Number factor = above[j];
 #pragma omp simd
-            for (int i = from; i < wide; i++) own[i] -= above[i] * factor;
+            for (int i = from; i < wide; i++) row[i] -= above[i] * factor;
         }
-        const Number inverse = 1 / std::sqrt(std::max(own[j], std::numeric_limits<Number>::min()));
+        const Number inverse = 1 / std::sqrt(std::max(row[j], std::numeric_limits<Number>::min()));
 #pragma omp simd
-        for (int i = from; i < wide; i++) own[i] *= inverse;
-        std::fill(own + from, own + j, Number(0));
-        own[j] = inverse;
+        for (int i = from; i < wide; i++) row[i] *= inverse;
+        std::fill(row + from, row + j, Number(0));
+        row[j] = inverse;
     }
     for (int k = 0; k < count; k++) {
-        const Number* __restrict own = root[k];
-        const Number known = right[k] *= own[k];
-        for (int i = k + 1; i < wide; i++) right[i] -= own[i] * known;
+        const Number* __restrict row = root[k];
+        const Number known = right[k] *= row[k];
+        for (int i = k + 1; i < wide; i++) right[i] -= row[i] * known;
     }
     for (int i = count - 1; i >= 0; i--) {
-        const Number* __restrict own = root[i];
+        const Number* __restrict row = root[i];
         Number part[VECTOR] = {}, sum = 0;
         const Number known = right[i];
         right[i] = 0;
         for (int k = i / VECTOR * VECTOR; k < wide; k += VECTOR)
-            for (int lane = 0; lane < VECTOR; lane++) part[lane] += own[k + lane] * right[k + lane];
+            for (int lane = 0; lane < VECTOR; lane++) part[lane] += row[k + lane] * right[k + lane];
         for (Number each : part) sum += each;
-        right[i] = (known - sum) * own[i];
+        right[i] = (known - sum) * row[i];
     }
 }
 
@@ -213,19 +213,19 @@ PLATE_WIDE void make_tridiagonal(Matrix& square, Tridiagonal& result) {
         for (int i = k + 1; i < count; i++) v[i] = row[i], p[i] = 0;
         v[k + 1] += v[k + 1] < 0 ? -length : length;
         for (int i = k + 1; i < count; i++) {
-            const double* __restrict own = square[i];
+            const double* __restrict other = square[i];
             const double share = factor * v[i];
 #pragma omp simd
-            for (int j = k + 1; j < count; j++) p[j] += share * own[j];
+            for (int j = k + 1; j < count; j++) p[j] += share * other[j];
         }
         double along = 0;
         for (int i = k + 1; i < count; i++) along += p[i] * v[i];
         for (int i = k + 1; i < count; i++) p[i] -= factor / 2 * along * v[i];
         for (int i = k + 1; i < count; i++) {
-            double* __restrict own = square[i];
+            double* __restrict other = square[i];
             const double vi = v[i], pi = p[i];
 #pragma omp simd
-            for (int j = k + 1; j < count; j++) own[j] -= vi * p[j] + pi * v[j];
+            for (int j = k + 1; j < count; j++) other[j] -= vi * p[j] + pi * v[j];
         }
     }
     result.middle.resize(count);

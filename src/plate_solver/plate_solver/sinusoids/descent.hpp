@@ -64,7 +64,7 @@ struct Problem {
 struct Workspace {
     AlignedNumbers<float> steps, by_twist;
     std::vector<float> moving;
-    std::vector<double> own, place;
+    std::vector<double> coefficients, place;
     MatrixOf<float> state, pose, twist, on_twist, ends;
     Matrix by_place, used;
     SampledMotion checked;
@@ -80,7 +80,7 @@ public:
         const int trace = problem.turning() ? TURNING_TRACE : TRACE;
         workspace.steps.resize(motions.steps() * blocks * trace);
         workspace.by_twist.resize(motions.bins() * blocks * axes * 3 * LANES);
-        workspace.own.resize(3 * motions.size());
+        workspace.coefficients.resize(3 * motions.size());
         workspace.place.resize(axes * problem.ends.parts);
         steps = {workspace.steps.data(), {motions.steps(), blocks, trace}};
         if (problem.settling.moves) settling_use = use_of(problem.settling.checked);
@@ -97,7 +97,7 @@ public:
             for (double& value : theta) value *= std::max(share, 0.0);
             sample_checks(theta);
         }
-        workspace.moving.assign(workspace.own.begin(), workspace.own.end());
+        workspace.moving.assign(workspace.coefficients.begin(), workspace.coefficients.end());
         combine(workspace.moving.data(), motions.pose, workspace.pose);
         combine(workspace.moving.data(), motions.twist, workspace.twist);
         if (problem.settling.moves) {
@@ -154,8 +154,8 @@ private:
     // Computes the motion at the instants at which limits are checked.
     void sample_checks(const std::vector<double>& theta) {
         for (size_t p = 0; p < theta.size(); p++)
-            workspace.own[p] = theta[p] * motions.scale[p % 3];
-        sample_motion(workspace.own.data(), motions.checks, workspace.checked);
+            workspace.coefficients[p] = theta[p] * motions.scale[p % 3];
+        sample_motion(workspace.coefficients.data(), motions.checks, workspace.checked);
         if (!problem.settling.moves) return;
         add_to(workspace.checked.pose, problem.settling.checked.pose);
         add_to(workspace.checked.twist, problem.settling.checked.twist);
@@ -182,9 +182,9 @@ private:
         trace(state, samples(workspace.pose), samples(workspace.twist), motions.dt, steps);
         for (int axis = 0; axis < axes; axis++)
             for (int i = 0; i < parts; i++) {
-                const float* own = state[i / LANES] + i % LANES;
+                const float* part = state[i / LANES] + i % LANES;
                 workspace.place[axis * parts + i] =
-                    own[PLACE[axis]] + problem.coast * own[RATE[axis]];
+                    part[PLACE[axis]] + problem.coast * part[RATE[axis]];
             }
     }
 
