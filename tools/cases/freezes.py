@@ -32,6 +32,7 @@ from cases import Outcome
 from plate_bringup import GraphError, RunOptions
 from plate_core.ros import LATCHED, nanoseconds
 from plate_core.status import age_limit
+from plate_core.tasks import Scenario
 from plate_interfaces.msg import Parts, TaskStatus
 
 FREEZE_S, PAUSE_S = (0.1, 5.0), (0.2, 1.5)
@@ -111,6 +112,27 @@ def freeze(processes: Processes, observer: Observer, durations: dict[str, float]
         processes.signal(name, signal.SIGCONT)
 
 
+def begin_task(observer: Observer, scenario: Scenario) -> bool:
+    """Enable the motors if they are off, and start the task again. Return False if it cannot be
+    started, for example because a node is still stopped on a busy computer."""
+    try:
+        if not observer.record.ready:
+            observer.enable()
+        observer.restart(scenario)
+    except GraphError as error:
+        print(f"no task: {error}", flush=True)
+        return False
+    return True
+
+
+def kill_and_restart(processes: Processes, observer: Observer, name: str, pause_s: float) -> None:
+    """Kill a node, and start it again after `pause_s` [s]."""
+    processes.signal(name, signal.SIGKILL)
+    processes.wait(name, DEAD_S[1])
+    observer.until(lambda: False, pause_s)
+    processes.restart(name)
+
+
 def run(
     logs: Path,
     count: int = 500,
@@ -133,25 +155,15 @@ def run(
         while number < count and time.monotonic() - began < 60 * minutes:
             number += 1
             if not observer.record.running:
-                try:
-                    if not observer.record.ready:
-                        observer.enable()
-                    observer.restart(graph.scenario)
-                    tasks += 1
-                # for example, a node is still stopped on a busy computer
-                except GraphError as error:
-                    trouble += 1
-                    print(f"no task: {error}", flush=True)
+                began_task = begin_task(observer, graph.scenario)
+                tasks, trouble = tasks + began_task, trouble + (not began_task)
             observer.until(lambda: False, rng.uniform(*PAUSE_S))
             some = rng.choice(names, size=1 + (rng.random() < 0.3), replace=False).tolist()
             durations = {name: float(np.exp(rng.uniform(*np.log(FREEZE_S)))) for name in some}
             draw = rng.random()
             if rng.random() < kills:
                 killed[some[0]] += 1
-                processes.signal(some[0], signal.SIGKILL)
-                processes.wait(some[0], DEAD_S[1])
-                observer.until(lambda: False, rng.uniform(*DEAD_S))
-                processes.restart(some[0])
+                kill_and_restart(processes, observer, some[0], float(rng.uniform(*DEAD_S)))
                 observer.await_nodes(names, START_S)
                 observer.await_answers(START_S)
                 continue

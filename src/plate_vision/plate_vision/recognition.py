@@ -158,8 +158,8 @@ def find_types_and_lamp(
     patches, found = seen.segments.patches, seen.found
     uncertain = seen.segments.uncertain(is_named(found))
     if uncertain is not None:
-        # The areas in `whole` were removed as shadows, but may belong to parts. The reason is that
-        # the edges of a moving part are as soft as the edges of a shadow. Therefore, recognise
+        # The areas in `uncertain` were removed as shadows, but may belong to parts. The reason is
+        # that the edges of a moving part are as soft as the edges of a shadow. Therefore, recognise
         # these areas again without removing shadows.
         more = segment(image, background, region, whole=uncertain).patches
         more_found = recognise(image, more, catalogue, calibration, seen.conditions)
@@ -175,7 +175,7 @@ def _merge_recognitions(
     patches: list[Patch], found: np.ndarray, more: list[Patch], more_found: np.ndarray
 ) -> tuple[list[Patch], np.ndarray]:
     """Merge the results of two recognitions. `found` (m,) DETECTED_OBJECT are the records of
-    `patches`, and `again` (k,) DETECTED_OBJECT are the records of the patches `more`.
+    `patches`, and `more_found` (k,) DETECTED_OBJECT are the records of the patches `more`.
 
     If a patch of the second recognition has a type, this patch replaces those first patches that it
     overlaps. If the patch does not overlap any other patch, it is added.

@@ -214,7 +214,7 @@ def find_faces(
 
     Parameters
     ----------
-    sides, away, labels
+    sides, deviations, labels
         As in `find_lamp`.
     rise : callable
         Returns the shifts (n, 2) of the tops of parts at image points (n, 2) [px].
@@ -268,7 +268,7 @@ def find_lamp(
     Parameters
     ----------
     sides : Sides
-    away : (H, W) uint8
+    deviations : (H, W) uint8
         Deviation of each pixel from the background [L]; 0 if it shows the background.
     labels : (H, W) int32
         Number of the patch of each pixel, 0 outside.
@@ -287,20 +287,18 @@ def find_lamp(
         return None
     columns, rows = places.reshape(-1, 2).T
     patch, shaded = labels[rows, columns], cast[rows, columns] > 0
-    own = ~sides.lit[rows, columns]
+    in_part = ~sides.lit[rows, columns]
     shade = np.bincount(patch[shaded], minlength=count)
     if np.count_nonzero(large & (shade > MIN_CAST[0] * sides.total)) < min_count:
         return None
-    grey = np.bincount(patch[own], minlength=count) < MIN_PART * sides.total
+    grey = np.bincount(patch[in_part], minlength=count) < MIN_PART * sides.total
     # If a part and its shadow differ only in brightness, the darker side of the patch is the part.
     bound, *_ = _separate_sides(sides, deviations, labels)
     darker = (grey & (bound > 0))[patch] & (deviations[rows, columns] > bound[patch])
-    own |= darker
+    in_part |= darker
     shaded &= ~darker
-    shade, body = (
-        np.bincount(patch[shaded], minlength=count),
-        np.bincount(patch[own], minlength=count),
-    )
+    shade = np.bincount(patch[shaded], minlength=count)
+    body = np.bincount(patch[in_part], minlength=count)
     fraction = shade / np.maximum(sides.total, 1)
     clear = large & (fraction > MIN_CAST[0]) & (fraction < MIN_CAST[1])
     clear &= body > MIN_PART * sides.total
@@ -310,7 +308,7 @@ def find_lamp(
     middles = [
         np.stack([np.bincount(patch[members], line[members], count) for line in pixels], axis=1)
         / np.maximum(number, 1)[:, None]
-        for members, number in ((shaded, shade), (own, body))
+        for members, number in ((shaded, shade), (in_part, body))
     ]
     direction = (middles[0] - middles[1])[clear]
     direction /= np.maximum(np.hypot(*direction.T), 1e-9)[:, None]
@@ -324,13 +322,13 @@ def find_lamp(
     if np.hypot(*mean) < ONE_LAMP:
         return None
     unit = mean / np.hypot(*mean)
-    along = unit @ pixels
     level = float(np.median(deviations[rows, columns][shaded]))
-    reach, part = np.full((2, count), -np.inf)
-    dark = own | (deviations[rows, columns] > 0.5 * level)
-    np.maximum.at(reach, patch[dark], along[dark])
-    np.maximum.at(part, patch[own], along[own])
-    length = reach[clear] - part[clear]
+    dark = in_part | (deviations[rows, columns] > 0.5 * level)
+    along = unit @ pixels
+    end, part_end = np.full((2, count), -np.inf)
+    np.maximum.at(end, patch[dark], along[dark])
+    np.maximum.at(part_end, patch[in_part], along[in_part])
+    length = end[clear] - part_end[clear]
     typical_length = float(np.median(length))
     spread = float(np.median(np.abs(length - typical_length)))
     if typical_length < MIN_PX or spread > SPREAD * typical_length or level < MIN_SHADE:
@@ -352,7 +350,7 @@ def remove_shadows(
     ----------
     sides : Sides
         Areas where patches look like a darker background.
-    away : (H, W) uint8
+    deviations : (H, W) uint8
         Deviation of each pixel from the background [L]; 0 if it shows the background.
     labels : (H, W) int32
         Number of the patch of each pixel, 0 outside.
