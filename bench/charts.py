@@ -49,12 +49,12 @@ def main() -> int:
     failed: list[str] = []
     # The pages of the project contain only complete measurements. Therefore the pages are updated
     # only without --quick.
-    own = args.out == ROOT / "out" and not args.quick
+    published = args.out == ROOT / "out" and not args.quick
     if not args.draw:
-        needed = dict.fromkeys(name for one in report.CHARTS for name in one.sources)
+        needed = dict.fromkeys(name for chart in report.CHARTS for name in chart.sources)
         needed |= dict.fromkeys(report.names())
         lacking = [name for name in needed if not is_done(folder, name, args.quick)]
-        if own and lacking and commit().endswith("-dirty"):
+        if published and lacking and commit().endswith("-dirty"):
             dirty = (
                 f"error: the commit is {commit()}, which has uncommitted changes, allowed: none "
                 "(or use --quick)"
@@ -63,14 +63,14 @@ def main() -> int:
             return 1
         try:
             with on_cluster(args.cluster):
-                failed = run_all(lacking, args.quick, folder, when_idle=own)
+                failed = run_all(lacking, args.quick, folder, when_idle=published)
         except PlateError as error:
             print(f"error: {error}", file=sys.stderr)
             return 1
         except KeyboardInterrupt:
             print("stopped", file=sys.stderr)
             return 130
-    text = (ROOT if own else args.out) / "docs/results.md"
+    text = (ROOT if published else args.out) / "docs/results.md"
     data, results = read(folder), text.with_suffix("")
     # the measurement is valid for the current commit, because the measured code is unchanged
     for name in data:
@@ -84,7 +84,7 @@ def main() -> int:
         return report_failures(failed) or 1
     report.write_results(text, facts, charts)
     report.write_report(args.out / "report/index.html", facts, charts)
-    if own:
+    if published:
         report.fill_documents(data, facts)
     print(f"{text}\n{args.out / 'report/index.html'}")
     return report_failures(failed)

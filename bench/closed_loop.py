@@ -53,14 +53,14 @@ def main() -> int:
         setup = with_settings(Setup(scenario, own_planner=args.planner), settings)
         marks = _result_metadata(scenario, rig, source, settings) if args.json else {}
         rows = Rows(args.json, marks)
-        there = sum(seed in rows.by_seed for seed in args.seeds)
+        already_run = sum(seed in rows.by_seed for seed in args.seeds)
         missing = [seed for seed in args.seeds if seed not in rows.by_seed]
         work = [(replace(setup, seed=seed), rig, source) for seed in missing]
         with rows, _make_pool(args) if work else nullcontext() as workers:
             code = 1
             print(f"{args.scenario}, Gamma = {rig.gamma:.1f}, {len(args.seeds)} runs", flush=True)
-            if there:
-                print(f"{there} of these runs are already in {args.json}", flush=True)
+            if already_run:
+                print(f"{already_run} of these runs are already in {args.json}", flush=True)
             for warning in planner.warnings():
                 print(f"warning: {warning}", flush=True)
             for row in _run_all(workers, work):

@@ -194,17 +194,17 @@ def start(hardware: bool, file: str, context: Any) -> list[Any]:
         if text and name in known
     }
     values = {name: _convert(name, given[name]) for name in OPTIONS if name in given}
-    own = []
+    own_files = []
     if "params_file" in given:
-        own.append(given["params_file"])
+        own_files.append(given["params_file"])
         try:
-            check_file(Path(own[0]), YAML_BYTES)
+            check_file(Path(own_files[0]), YAML_BYTES)
         except PlateError as error:
             raise GraphError(f"params_file {error}") from None
     pushed = context.launch_configurations.get("ros_namespace", "")
     space = namespace_of(pushed, given.get("namespace", ""))
     names = [node.name for node in load_graph()]
-    parameters = [*context.launch_configurations.get("global_params", []), *own]
+    parameters = [*context.launch_configurations.get("global_params", []), *own_files]
     found = partial(find_values, parameters, space)
     rigs = [given["rig_file"]] if "rig_file" in given else found(names, "rig_file")
     if "scenario" in given and not rigs:
@@ -217,7 +217,7 @@ def start(hardware: bool, file: str, context: Any) -> list[Any]:
         texts = [text for key in keys for text in found(["simulator"], key)]
         values["simulated_time"] = any(text.lower() not in REAL_TIME for text in texts)
     warnings = misspelled_arguments(hardware, context.launch_configurations, Path(file).name)
-    warnings += [text for path in own for text in unused_sections(path, space, names)]
+    warnings += [text for path in own_files for text in unused_sections(path, space, names)]
     options = RunOptions(
         **{"transport": "serial" if hardware else "sim", "hardware": hardware} | values
     )
@@ -242,7 +242,7 @@ def start(hardware: bool, file: str, context: Any) -> list[Any]:
             remappings=[(topic, other) for topic, other in topics.items() if other],
             output="screen",
             on_exit=None if name in views else partial(_shut_down, name, last_line),
-            **program | {"parameters": [*own, program["parameters"], *waiting, *clock]},
+            **program | {"parameters": [*own_files, program["parameters"], *waiting, *clock]},
         )
         actions += [_listen_to(process, last_line), process]
     if given.get("record") == "true":
@@ -407,8 +407,8 @@ def _find_sections(data: Any, above: str = "") -> Iterator[tuple[str, dict[Any, 
         if key == "ros__parameters" and isinstance(value, dict):
             yield above, value
         else:
-            own = "".join(f"/{level}" for level in str(key).split("/") if level)
-            yield from _find_sections(value, above + own)
+            patterns = "".join(f"/{level}" for level in str(key).split("/") if level)
+            yield from _find_sections(value, above + patterns)
 
 
 def default_files(hardware: bool, space: str, names: Sequence[str]) -> list[str]:
@@ -418,8 +418,10 @@ def default_files(hardware: bool, space: str, names: Sequence[str]) -> list[str]
     if hardware:
         files.append(str(config_path("hardware.yaml")))
     if space:
-        own = {f"/**/{name}": {"ros__parameters": {"frame_prefix": f"{space}/"}} for name in names}
-        files.append(_write_temporary_file(yaml.safe_dump(own)))
+        frame_prefix = {
+            f"/**/{name}": {"ros__parameters": {"frame_prefix": f"{space}/"}} for name in names
+        }
+        files.append(_write_temporary_file(yaml.safe_dump(frame_prefix)))
     return files
 
 

@@ -89,7 +89,8 @@ def speed_bounds(rig: Rig, period: float) -> SpeedBounds:
     if max_accel <= a:
         return SpeedBounds(0.0, 0.0, 0.0)
     d = a * period / 4
-    travel = _max_travel_ratio(rig)
+    # travel of the motor that moves farthest per travel of the plate, along the best line
+    travel = _min_over_directions(rig.motor_levers)
     stroke = d / 2 + np.sqrt(d**2 / 4 + max_accel * rig.limits.stroke_m / travel / 4 * net)
     return SpeedBounds(max_accel * period / 16 * net, float(stroke), rig.limits.speed / travel)
 
@@ -105,12 +106,6 @@ def shift_accel(rig: Rig) -> float:
         return float(rig.limits.accel)
     load = _min_over_directions(rig.motor_loads[2])
     return float(min(rig.limits.accel, rig.limits.force / load))
-
-
-def _max_travel_ratio(rig: Rig) -> float:
-    """Return the largest travel of a motor divided by the travel of the plate, along the most
-    favourable line."""
-    return _min_over_directions(rig.motor_levers)
 
 
 def _min_over_directions(rows: np.ndarray) -> float:

@@ -188,10 +188,10 @@ class Cluster(Executor):
         """Check each new worker, and send lost runs again."""
         while not self._ending.wait(POLL_S):
             if self._client.status == "closed":
-                away = f"cluster {self._address}: no connection to the scheduler for {RETURN_S:g} s"
+                text = f"cluster {self._address}: no connection to the scheduler for {RETURN_S:g} s"
                 for result in list(self._calls):
                     with suppress(InvalidStateError):
-                        result.set_exception(PlateError(away))
+                        result.set_exception(PlateError(text))
                 return
             with suppress(Exception):  # the connection is lost
                 if self._client.status == "running":
@@ -220,7 +220,7 @@ class Cluster(Executor):
         """Start the check of each new worker. If all workers are refused or there is no worker,
         report this. Return the number of workers, and the number of accepted workers."""
         workers = self._scheduler_info()["workers"]
-        accepted = {name for name, one in workers.items() if self._key in one["resources"]}
+        accepted = {name for name, worker in workers.items() if self._key in worker["resources"]}
         for name in set(self._refusals) - set(workers):
             self._refusals.pop(name, None)
         for name in set(workers) - set(self._refusals) - accepted:
@@ -271,7 +271,7 @@ def _connect(address: str) -> Any:
             f"cluster is {address!r}, but Dask is not installed: {INSTALL}"
         ) from problem
     try:
-        kind, there = _query_within_limit(address)
+        kind, scheduler_version = _query_within_limit(address)
     except Exception as problem:
         raise PlateError(
             f"cluster is {address!r}, where no Dask scheduler answers ({_error_text(problem)}), "
@@ -282,10 +282,11 @@ def _connect(address: str) -> Any:
             f"cluster is {address!r}, which is the address of a {kind}, allowed: the address that "
             "`dask scheduler` prints"
         )
-    if there != distributed.__version__:
+    if scheduler_version != distributed.__version__:
         raise PlateError(
-            f"cluster {address}: the scheduler's package `distributed` has version {there}, "
-            f"allowed: {distributed.__version__} (the version on this computer)"
+            f"cluster {address}: the scheduler's package `distributed` has version "
+            f"{scheduler_version}, allowed: {distributed.__version__} (the version on this "
+            "computer)"
         )
     with warnings.catch_warnings():
         # Suppress Dask's warning of different versions, because other code refuses different

@@ -265,15 +265,7 @@ def check(
     world = result["world"] if world is None else world
     chosen("world", world, WORLDS)
     report(f"agent {result['agent']}, commit {result['commit'] or 'unknown'}")
-    present = {"sources": sources(), "versions": versions(agent)}
-    if "limits" in result:
-        present |= {"limits": asdict(limits), "files": files(agent)}
-    made, made_here = terms(result), terms(result | present)
-    differences = [
-        shortened(f"{name} is {made.get(name)} in the result, and {made_here.get(name)} here")
-        for name in (made_here | made if "limits" in result else made)
-        if made.get(name) != made_here.get(name)
-    ]
+    differences = differences_here(result, limits)
     for text in differences[:MAX_OTHER]:
         report(text)
     if len(differences) > MAX_OTHER:
@@ -316,6 +308,21 @@ def check(
     return wrong
 
 
+def differences_here(result: dict[str, Any], limits: Limits) -> list[str]:
+    """Return a text for each difference between the versions, files and limits in a result and
+    those on this computer."""
+    agent = result["agent"]
+    present = {"sources": sources(), "versions": versions(agent)}
+    if "limits" in result:
+        present |= {"limits": asdict(limits), "files": files(agent)}
+    made, made_here = terms(result), terms(result | present)
+    return [
+        shortened(f"{name} is {made.get(name)} in the result, and {made_here.get(name)} here")
+        for name in (made_here | made if "limits" in result else made)
+        if made.get(name) != made_here.get(name)
+    ]
+
+
 def differing(claimed: dict[str, Any], true: dict[str, Any]) -> Iterator[tuple[str, Any]]:
     """Compare two rows of the same episode, except their computing times. For each difference,
     yield the key and its value in the row `true`. If both rows have the key `failure` with the same
@@ -331,6 +338,32 @@ def differing(claimed: dict[str, Any], true: dict[str, Any]) -> Iterator[tuple[s
 @piped()
 def main() -> int:
     """Run the command line. Return its exit code."""
+    args = arguments()
+    try:
+        limits = Limits(args.decision_limit, args.memory_limit)
+        if args.check:
+            wrong = check(
+                read(args.check), partial(print, flush=True), args.workers, args.fresh or 0,
+                args.world, args.trust or "", limits,
+            )  # fmt: skip
+            print("\n".join(wrong) or "the repeated seeds give the same result")
+            return bool(wrong)
+        evaluate_into_file(args, limits)
+    except BrokenPipeError:
+        raise
+    except (PlateError, OSError) as error:
+        # names of files can also come from another person
+        print(f"error: {printable(str(error))}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        kept = f"; {args.json} has the episodes so far" if args.json and args.json.is_file() else ""
+        print(f"stopped{kept}", file=sys.stderr)
+        return 130
+    return 0
+
+
+def arguments() -> argparse.Namespace:
+    """Parse and check the command line. If it is wrong, end the program with a message."""
     parser = argparse.ArgumentParser(prog="python -m plate_gym.bench", description=__doc__)
     parser.add_argument(
         "--agent", help=f"agent: {', '.join(AGENTS)}, or MODULE:CLASS of a file (default: B)"
@@ -402,51 +435,34 @@ def main() -> int:
     # at least one worker, because in this process an agent could end the program or falsify results
     if args.workers < 1:
         parser.error(f"--workers is {args.workers}, allowed: 1 or more")
-    report = partial(print, flush=True)
-    try:
-        limits = Limits(args.decision_limit, args.memory_limit)
-        if args.check:
-            wrong = check(
-                read(args.check), report, args.workers, args.fresh or 0, args.world,
-                args.trust or "", limits,
+    return args
+
+
+def evaluate_into_file(args: argparse.Namespace, limits: Limits) -> None:
+    """Evaluate the agent. Write the result to the file `--json` after each episode."""
+    agent, world = args.agent or "B", args.world or "nominal"
+    # The result file is opened before the runs. If the file cannot be written, the error appears
+    # now and not after hours.
+    with OwnFile(args.json) if args.json else nullcontext() as file:
+        done = None
+        if args.json and args.json.is_file() and args.json.stat().st_size:
+            done = read(args.json)
+
+        def keep(result: dict[str, Any]) -> None:
+            if file is not None:
+                file.write(json.dumps(result, indent=1) + "\n")
+
+        # check the arguments before the program waits for the cluster
+        begun(agent, world, limits, done)
+        pool: Any = nullcontext()
+        if args.cluster:
+            other = module_of(agent) if ":" in agent else ""
+            pool = Cluster(args.cluster, modules=("plate_gym",), agent=other)
+        with pool as shared:
+            evaluate(
+                agent, args.task or list(TASKS), args.seeds or range(100), world, args.workers,
+                partial(print, flush=True), keep, limits, shared, done,
             )  # fmt: skip
-            print("\n".join(wrong) or "the repeated seeds give the same result")
-            return bool(wrong)
-
-        agent, world = args.agent or "B", args.world or "nominal"
-        # The result file is opened before the runs. If the file cannot be written, the error
-        # appears now and not after hours.
-        with OwnFile(args.json) if args.json else nullcontext() as file:
-            done = None
-            if args.json and args.json.is_file() and args.json.stat().st_size:
-                done = read(args.json)
-
-            def keep(result: dict[str, Any]) -> None:
-                if file is not None:
-                    file.write(json.dumps(result, indent=1) + "\n")
-
-            # check the arguments before the program waits for the cluster
-            begun(agent, world, limits, done)
-            pool: Any = nullcontext()
-            if args.cluster:
-                other = module_of(agent) if ":" in agent else ""
-                pool = Cluster(args.cluster, modules=("plate_gym",), agent=other)
-            with pool as shared:
-                evaluate(
-                    agent, args.task or list(TASKS), args.seeds or range(100), world, args.workers,
-                    report, keep, limits, shared, done,
-                )  # fmt: skip
-    except BrokenPipeError:
-        raise
-    except (PlateError, OSError) as error:
-        # names of files can also come from another person
-        print(f"error: {printable(str(error))}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        kept = f"; {args.json} has the episodes so far" if args.json and args.json.is_file() else ""
-        print(f"stopped{kept}", file=sys.stderr)
-        return 130
-    return 0
 
 
 def interrupt_once(number: int, frame: Any) -> None:

@@ -241,7 +241,7 @@ def begin(
     if t - waiting_since > limits.start_timeout_s + TIME_TOLERANCE_S:
         problem = "no two images with equal parts within"
         if missing:
-            problem = f"{_join_names(missing)} not detected within"
+            problem = f"{', '.join(missing)} not detected within"
         why = _join_texts(
             f"{problem} {limits.start_timeout_s:g} s of the start", others, CHECK_IMAGE
         )
@@ -370,7 +370,3 @@ def _hold_start(since: float | None, holds: bool, t: float) -> float | None:
 
 def _join_texts(*texts: str) -> str:
     return "; ".join(filter(None, texts))
-
-
-def _join_names(names: tuple[str, ...]) -> str:
-    return ", ".join(names)

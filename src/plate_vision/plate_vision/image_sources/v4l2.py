@@ -35,7 +35,6 @@ from .v4l2_device import (
     GAIN,
     MANUAL,
     WHITE_BALANCE,
-    Size,
     V4l2Device,
     fourcc,
 )
@@ -130,7 +129,7 @@ class V4l2Source(Camera):
         forms = [requested.format] if requested.format else has
         fit = [form for form in forms if any(size.holds(size_px) for size in offers[form])]
         if not fit:
-            sizes = "; ".join(f"{form} {_sizes_text(offers[form])}" for form in forms)
+            sizes = "; ".join(f"{form} {', '.join(map(str, offers[form]))}" for form in forms)
             raise CameraError(
                 f"{self.path}: size is {size_px[0]} x {size_px[1]} px, allowed by {device.name}: "
                 f"{sizes or known}"
@@ -321,7 +320,3 @@ class V4l2Source(Camera):
         if self._device is not None:
             self._device.close()
         self._capture = self._device = None
-
-
-def _sizes_text(sizes: list[Size]) -> str:
-    return ", ".join(map(str, sizes))
