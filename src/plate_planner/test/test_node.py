@@ -62,10 +62,10 @@ def test_with_a_camera_that_runs_free_each_cycle_is_answered(graph):
         shown(k)
     assert [msg.header.stamp for msg in graph.forces] == began
     assert not graph.forces[0].forces or graph.forces[0].at_start
-    asked = graph.forces[-1]
-    assert len(asked.forces) == 4
-    assert asked.at_start
-    assert nanoseconds(asked.start) == nanoseconds(began[-1]) + 100_000_000
+    requested = graph.forces[-1]
+    assert len(requested.forces) == 4
+    assert requested.at_start
+    assert nanoseconds(requested.start) == nanoseconds(began[-1]) + 100_000_000
     # If no images arrive, nothing is requested once the last one is older than 0.4 s.
     for k in range(8, 14):
         shown(k, images=False)
@@ -122,15 +122,15 @@ def test_a_task_from_goal_to_done(graph):
     graph = graph()
     assert graph.image(100.0, APART).parts.ids == ()  # idle images are answered too
     handle = graph.send()
-    asked = graph.image(100.1, APART)
-    assert asked.parts.ids == IDS
-    assert np.all(asked.forces.force[:2, 0] < 0)
-    assert np.all(asked.forces.force[2:, 0] > 0)
-    assert np.all(asked.targets.high[:2, 0] < 0)
-    assert np.all(asked.targets.low[2:, 0] > 0)
+    request = graph.image(100.1, APART)
+    assert request.parts.ids == IDS
+    assert np.all(request.forces.force[:2, 0] < 0)
+    assert np.all(request.forces.force[2:, 0] > 0)
+    assert np.all(request.targets.high[:2, 0] < 0)
+    assert np.all(request.targets.low[2:, 0] > 0)
     for k in range(2, 8):
-        asked = graph.image(100.0 + 0.1 * k, SORTED)
-    assert asked.parts.ids == ()
+        request = graph.image(100.0 + 0.1 * k, SORTED)
+    assert request.parts.ids == ()
     status, task = graph.result(handle)
     assert (status, task.state, task.reason) == (
         GoalStatus.STATUS_SUCCEEDED, TaskStatus.DONE, TaskStatus.NONE
@@ -214,8 +214,8 @@ def test_a_stop_ends_a_measurement_of_friction(graph):
     graph.driver = DriverStatus(state=DriverStatus.CALIBRATING, text="calibrating")
     graph.until(graph.planner._friction.service_is_ready)
     graph.until(lambda: graph.driver_text() == "calibrating")
-    said = "no task runs; a friction measurement is canceled, a calibration continues"
-    assert graph.stop().message == said
+    messages = "no task runs; a friction measurement is canceled, a calibration continues"
+    assert graph.stop().message == messages
     graph.until(lambda: calls)
     assert calls == [False]
 
@@ -232,10 +232,10 @@ def test_a_stop_when_no_task_runs_is_reported(graph):
 def test_missing_parts_are_explained_by_the_detectors_message(graph):
     graph = graph(input_timeout_s=0.3)
     name, message = "/planner_test/detector", "no image yet; check that the camera runs"
-    said = DiagnosticStatus(name=name, message=message)
-    graph.others.publish(DiagnosticArray(status=[said]))
+    messages = DiagnosticStatus(name=name, message=message)
+    graph.others.publish(DiagnosticArray(status=[messages]))
     graph.until(lambda: "detector" in graph.planner._monitor.inputs.reports)
-    text = "idle; no parts yet; the detector runs and reports: " + said.message
+    text = "idle; no parts yet; the detector runs and reports: " + messages.message
     assert graph.report() == (DiagnosticStatus.STALE, text)
 
 
@@ -506,7 +506,7 @@ def test_an_order_of_a_second_publisher_is_not_executed(graph, monkeypatch):
     stranger = rclpy.create_node("stranger")
     foreign = stranger.create_publisher(FeedOrder, "feed_orders", DATA)
     came, modes = [], set()
-    heard = graph.probe.create_subscription(FeedOrder, "feed_orders", came.append, DATA)
+    received = graph.probe.create_subscription(FeedOrder, "feed_orders", came.append, DATA)
 
     def in_force():
         order = graph.planner._tasks.run.planner.scenario.task.order
@@ -523,7 +523,7 @@ def test_an_order_of_a_second_publisher_is_not_executed(graph, monkeypatch):
         orders.publish(FeedOrder(mode=FeedOrder.REST, hidden=True))
         graph.until(lambda: in_force().hidden)
     finally:
-        graph.probe.destroy_subscription(heard)
+        graph.probe.destroy_subscription(received)
         stranger.destroy_node()
     assert modes == {FeedOrder.REST}
 
@@ -533,12 +533,12 @@ def test_forces_are_drawn_for_those_who_look(graph):
     graph.probe.create_subscription(MarkerArray, "markers", drawn.append, DATA)
     graph.until(lambda: graph.planner._markers.get_subscription_count())
     graph.begin(1.0)
-    asked = graph.image(1.3, APART)
+    request = graph.image(1.3, APART)
     graph.until(lambda: len(drawn) >= 3)
     unit = load_rig().force_unit
-    assert np.abs(asked.forces.force).max() > 0.01 * unit
+    assert np.abs(request.forces.force).max() > 0.01 * unit
     for marker, place, force in zip(
-        drawn[-1].markers, asked.parts.position, asked.forces.force, strict=True
+        drawn[-1].markers, request.parts.position, request.forces.force, strict=True
     ):
         assert (marker.ns, marker.header.frame_id) == ("forces", "plate_home")
         tail, tip = marker.points
@@ -560,7 +560,7 @@ def reported(graph):
 
     def ask(order, lockstep=True, at_once=False):
         node = graph(lockstep=lockstep)
-        asked, node.reporting = [], False
+        requested, node.reporting = [], False
         starts = node.starts if lockstep else node.probe.create_publisher(
             JointTrajectory, "cycle_started", DATA
         )  # fmt: skip
@@ -579,7 +579,7 @@ def reported(graph):
             node.until(lambda: not node.planner._lockstep.unanswered)
         node.cycle, node.answering = LEAVES, False
         begin(1.3, PlateCycle.rest(0.1))
-        asked.append(node.image(1.3, APART))
+        requested.append(node.image(1.3, APART))
         for t in (1.4, 1.5):
             count, stamp = len(node.forces), to_time(round(1e9 * t))
             publish = {
@@ -597,8 +597,8 @@ def reported(graph):
                 time.sleep(AT_ONCE_S)
             node.until(lambda count=count: len(node.forces) > count)
             assert node.forces[count].header.stamp == stamp
-            asked.append(msg_to_request(node.forces[count]))
-        return asked
+            requested.append(msg_to_request(node.forces[count]))
+        return requested
 
     return ask
 

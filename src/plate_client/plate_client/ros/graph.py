@@ -99,9 +99,11 @@ class Graph(Services):
             nonlocal next_s
             if time.monotonic() < next_s:
                 return
-            next_s, at = time.monotonic() + PROGRESS_S, task.progress
-            line = f"{at.time_s:.0f} s: {at.parts_sorted} of {at.parts_total} parts"
-            print(f"  {line}, {1e3 * at.to_go_m:.0f} mm to go", flush=True)
+            next_s, progress = time.monotonic() + PROGRESS_S, task.progress
+            line = (
+                f"{progress.time_s:.0f} s: {progress.parts_sorted} of {progress.parts_total} parts"
+            )
+            print(f"  {line}, {1e3 * progress.to_go_m:.0f} mm to go", flush=True)
 
         try:
             status = plate.wait(task, meanwhile=show)
@@ -166,9 +168,9 @@ class Graph(Services):
             raise PlateError(result.text)
         rows = [f"  {'part':14}  {'x [mm]':>8}  {'y [mm]':>8}  mu"]
         rows += [
-            f"  {one.id:14}  {1e3 * one.x:8.1f}  {1e3 * one.y:8.1f}  {one.mu:.4f} +- "
-            f"{one.mu_error:.4f}"
-            for one in result.parts
+            f"  {part.id:14}  {1e3 * part.x:8.1f}  {1e3 * part.y:8.1f}  {part.mu:.4f} +- "
+            f"{part.mu_error:.4f}"
+            for part in result.parts
         ]
         print("\n".join([*rows, result.text]), flush=True)
         question = f"Write mu {result.mu:.3g} into the driver's rig file? Type yes, or Enter: "
@@ -194,12 +196,12 @@ class Graph(Services):
 
         def over() -> bool:
             nonlocal text
-            own = [msg for msg in received if msg.header.stamp == started]
-            if own and own[-1].text != text:
-                text = own[-1].text
-                if own[-1].state == Friction.RUNNING:
-                    print(f"  {100 * own[-1].fraction:3.0f} %  {text}", flush=True)
-            return bool(own) and own[-1].state != Friction.RUNNING
+            messages = [msg for msg in received if msg.header.stamp == started]
+            if messages and messages[-1].text != text:
+                text = messages[-1].text
+                if messages[-1].state == Friction.RUNNING:
+                    print(f"  {100 * messages[-1].fraction:3.0f} %  {text}", flush=True)
+            return bool(messages) and messages[-1].state != Friction.RUNNING
 
         while not self._until(over, AGAIN_S):
             measuring = sum(msg.state == DriverStatus.CALIBRATING for msg in drivers)
@@ -234,7 +236,7 @@ class Graph(Services):
         if not self._seen() and not self._texts:
             raise PlateError(no_graph_text())
         lines = [f"{topic}: {self._texts.get(topic, 'no message')}" for topic in topics]
-        nodes = {name: f"{each.level.name}, {each.message}" for name, each in reports.items()}
+        nodes = {name: f"{status.level.name}, {status.message}" for name, status in reports.items()}
         nodes |= dict.fromkeys(missing, "no message yet: the node is starting, or it hangs")
         if missing:
             lines.append("some nodes have sent no message; other nodes may wait for them")
@@ -243,13 +245,13 @@ class Graph(Services):
     def _without_reports(self, reports: dict[str, Report]) -> list[str]:
         """Return the nodes that have a publisher of diagnostics but have not published yet. A node
         without diagnostics is starting or does not respond."""
-        there = {
-            each.node_name
+        publishers = {
+            publisher.node_name
             for topic in self._diagnostics_topics()
-            for each in self.node.get_publishers_info_by_topic(topic)
-            if each.node_namespace == self.node.get_namespace()
+            for publisher in self.node.get_publishers_info_by_topic(topic)
+            if publisher.node_namespace == self.node.get_namespace()
         }
-        return sorted(there & set(self._seen()) - reports.keys())
+        return sorted(publishers & set(self._seen()) - reports.keys())
 
     def _diagnostics_topics(self) -> set[str]:
         """Return the topics on which the nodes can publish diagnostics. Several plates can share
@@ -274,11 +276,11 @@ class Graph(Services):
         """
         self._find_nodes()
         self._until(lambda: name in self._seen(), DISCOVERY_S)
-        here = self._seen()
+        running = self._seen()
         if name is None:
-            return here
-        if name not in here:
-            hint, listed = did_you_mean(name, here), ", ".join(here)
+            return running
+        if name not in running:
+            hint, listed = did_you_mean(name, running), ", ".join(running)
             raise PlateError(f"no node {name!r} runs{hint}; running nodes: {listed}")
         return [name]
 

@@ -94,7 +94,11 @@ class Replay:
         self.begin, self.end = 1e-9 * self._reader.start_time, 1e-9 * self._reader.end_time
         self.now, self.playing, self.rate, self.problem = self.begin, False, 1.0, ""
         self._played_at = time.monotonic()
-        latched = [each for each in self._chosen if self._topic_key(each) in LATCHED_TOPICS]
+        latched = [
+            connection
+            for connection in self._chosen
+            if self._topic_key(connection) in LATCHED_TOPICS
+        ]
         self._latched: list[Any] = []
         with contextlib.suppress(PlateError):  # a damaged bag is read up to the damaged place
             self._latched.extend(self._read_messages(latched) if latched else ())
