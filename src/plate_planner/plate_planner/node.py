@@ -347,6 +347,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             cycle = msg_to_cycle(msg)
             check_start(cycle, begin, self._tasks.estimator.clock.stamp)
         except PlateError as error:
+            self._monitor.inputs = self._monitor.inputs.start_refused(str(error))
             self._warn(str(error))
             return
         if not self._schedule.is_new(cycle, begin):

@@ -262,6 +262,20 @@ def test_a_goal_is_refused_with_the_reason(graph):
     graph.until(lambda: graph.states == ["idle", "running"])
 
 
+def test_images_of_another_clock_are_the_reason_why_no_task_starts(graph):
+    """A camera whose stamps count from its start, and a driver with the time of day."""
+    graph = graph(camera_triggered=False)
+    starts = graph.probe.create_publisher(JointTrajectory, "cycle_started", DATA)
+    graph.until(starts.get_subscription_count)
+    graph.image(12.0, APART)
+    starts.publish(cycle_to_msg(PlateCycle.rest(0.1), to_time(1_796_070_000_000_000_000)))
+    graph.until(lambda: graph.planner._monitor.inputs.start_refusal)
+    reason, text = graph.refused(SORT_4)
+    assert reason == TaskStatus.NOT_READY
+    assert "refuses the reports of cycle starts: cycle_started: its stamp minus the stamp" in text
+    assert "check that all clocks are synchronised" in text
+
+
 @pytest.mark.parametrize(("unit", "count"), [("mm", 1000.0), ("cm", 100.0)])
 def test_parts_in_another_unit_than_metres_are_named(graph, unit, count):
     """Parts of another program. A goal is refused, and a task ends, with this reason."""

@@ -102,6 +102,9 @@ class Inputs:
     refused_since : float or None
         Time since which all messages of the topic parts were refused. None if the last message was
         accepted.
+    start_refusal : str
+        Reason why the last report of a cycle start was refused, for example because its stamp is
+        from another clock than those of the images. Empty if it was accepted.
     """
 
     parts: Input
@@ -119,6 +122,7 @@ class Inputs:
     orders: Input | None = None
     refusal: str = ""
     refused_since: float | None = None
+    start_refusal: str = ""
 
     @classmethod
     def none_yet(cls, now: float, timeout_s: float, triggered: bool = True) -> Inputs:
@@ -156,7 +160,13 @@ class Inputs:
 
     def start_received(self, now: float) -> Inputs:
         """Record that the start of a cycle was reported."""
-        return self if self.starts is None else replace(self, starts=self.starts.received(now))
+        if self.starts is None:
+            return self
+        return replace(self, starts=self.starts.received(now), start_refusal="")
+
+    def start_refused(self, why: str) -> Inputs:
+        """Record that a report of a cycle start was refused."""
+        return replace(self, start_refusal=why)
 
     def order_received(self, now: float) -> Inputs:
         """Record that an order of a feeder has arrived."""
@@ -239,9 +249,11 @@ class Inputs:
         if self.starts is None:
             return ""
         finding = self.starts.timed_out(now)
-        if finding is None and self.starts.arrival is None:
-            return f"no start of a cycle yet; {self.starts.advice}"
-        return finding.message if finding is not None else ""
+        if finding is None and self.starts.arrival is not None:
+            return ""
+        if self.start_refusal:
+            return f"the planner refuses the reports of cycle starts: {self.start_refusal}"
+        return finding.message if finding else f"no start of a cycle yet; {self.starts.advice}"
 
     def problem(
         self, now: float, began: float, period: float, publishers: Callable[[str], int]
@@ -363,6 +375,8 @@ class Inputs:
         starts = None
         if self.starts is not None and driver is None:  # only a ready driver starts cycles
             starts = self.starts.timed_out(now)
+            if starts is not None:
+                starts = Finding(starts.level, self.starts_problem(now))
         return [parts, driver, starts]
 
     def stood_still(self, now: float, period: float) -> Failure | None:
