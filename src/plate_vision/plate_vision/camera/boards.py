@@ -399,8 +399,8 @@ def fit_lens(
     if len(seen) < MIN_PICTURES:
         raise CalibrationError(
             f"the board was detected in {len(seen)} pictures, allowed: at least {MIN_PICTURES}, "
-            "from different sides (check the numbers of squares: each is one more than the number of "
-            "inner corners, which tools of ROS and OpenCV count)"
+            "from different sides (check the numbers of squares: each is one more than the number "
+            "of inner corners, which tools of ROS and OpenCV count)"
         )
     corners = np.column_stack([board.corners, np.zeros(len(board.corners))])
     points = [corners[corner_ids] for corner_ids, _ in seen]
