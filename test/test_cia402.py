@@ -73,7 +73,7 @@ def _bench(leader, request):
     bench.end()
 
 
-def led(bench, since=0):
+def commanded(bench, since=0):
     """Controlword and target of each RPDO: rows of time [ms], motor, word, target."""
     rows = []
     for at, identifier, data in bench.sent:
@@ -91,7 +91,7 @@ def travel(rows, motor):
 
 def check_bus(bench, since=0):
     """No target leaves the limits, or jumps, while there is current."""
-    rows = led(bench, since)
+    rows = commanded(bench, since)
     for motor in range(4):
         at, place = travel(rows, motor)
         steps = np.diff(place)[np.diff(at) <= 2]
@@ -107,7 +107,7 @@ def test_drives_are_set_up_and_nothing_has_current_before_an_enable(bench):
     live(bench, 300)
     assert [drive.nmt.state for drive in bench.drives] == ["OPERATIONAL"] * 4
     assert [drive.history for drive in bench.drives] == [[]] * 4
-    assert set(led(bench)[:, 2]) == {0}
+    assert set(commanded(bench)[:, 2]) == {0}
     for drive in bench.drives:
         assert [(v.index, v.length) for v in drive.rpdo[1].map] == [(0x6040, 16), (0x607A, 32)]
         assert [(v.index, v.length) for v in drive.tpdo[1].map] == [(0x6041, 16), (0x6064, 32)]
@@ -127,7 +127,7 @@ def test_current_comes_by_the_states_of_the_standard_and_without_a_jump(bench):
     for drive in bench.drives:
         assert drive.history == ["ready", "switched on", "enabled"]
     for motor, place in enumerate(places):
-        reported = [row[3] for row in led(bench) if row[1] == motor and row[2] == 15]
+        reported = [row[3] for row in commanded(bench) if row[1] == motor and row[2] == 15]
         assert set(reported) == {place}
     check_bus(bench)
 
@@ -208,7 +208,7 @@ def test_the_drives_receive_the_table_and_follow(bench):
     playing(bench, PLATE)
     live(bench, 500)
     check_bus(bench)
-    rows = led(bench)
+    rows = commanded(bench)
     curve = spline(PLATE.wave(0.004))
     moving = [travel(rows, m) for m in range(4)]
     began = min(at[np.flatnonzero(np.abs(place) > 2e-6)[0]] for at, place in moving)
@@ -226,7 +226,7 @@ def test_the_drives_receive_the_table_and_follow(bench):
     assert len(set(late)) == 1
     for drive, motor in zip(bench.drives, range(4), strict=True):
         assert drive.enables == 1
-        assert abs(travel(led(bench), motor)[1][-1]) < 0.0041
+        assert abs(travel(commanded(bench), motor)[1][-1]) < 0.0041
     errors = [t.following_m for t in said_by(bench, Telemetry)]
     assert 1e-5 < max(errors) < 1e-3  # of the drives' lag, not of the bus's delay
 
@@ -269,7 +269,7 @@ def test_one_wrong_position_is_neither_target_nor_home(bench, at):
     assert bench.drives[0].wrong_once is None
     assert bench.state == State.READY
     for motor, place in enumerate(places):
-        reported = {row[3] for row in led(bench) if row[1] == motor and row[2] == 15}
+        reported = {row[3] for row in commanded(bench) if row[1] == motor and row[2] == 15}
         assert reported == {place}
     assert max(abs(x) for x in said_by(bench, Telemetry)[-1].position) < 1e-5
 
@@ -288,7 +288,7 @@ def test_home_is_not_taken_in_a_swing(bench):
     live(bench, 900)
     assert bench.state == State.READY
     for motor in range(4):
-        assert set(travel(led(bench), motor)[1]) == {0}
+        assert set(travel(commanded(bench), motor)[1]) == {0}
 
 
 def test_a_reset_board_sends_no_target_before_it_knows_one(bench):
@@ -341,7 +341,7 @@ def test_a_fault_switches_all_currents_off_and_is_reported(bench, trouble, kind,
     assert bench.state == State.OFF
     assert bench.stop != stop
     assert fault in Fault(bench.faults)
-    words = led(bench, since)
+    words = commanded(bench, since)
     off = words[words[:, 2] == 0][0, 0]
     assert off - since <= DELAYS_MS.get(trouble, FOLLOWED_MS)
     assert 15 not in words[words[:, 0] > off, 2]
@@ -410,7 +410,7 @@ def test_a_person_confirms_home_if_it_may_be_lost(bench, trouble):
     bench.run(5)
     enable(bench, 501)
     assert (bench.state, bench.faults) == (State.READY, 0)
-    rows = led(bench)
+    rows = commanded(bench)
     reported = [rows[rows[:, 1] == motor][-1, 3] for motor in range(4)]
     assert reported == [*places[:3], 0]
 
@@ -595,7 +595,7 @@ def test_a_drive_that_counts_from_elsewhere_once_it_has_current_is_named(bench, 
     assert (bench.state, bench.faults & Fault.FOLLOWING) == (State.OFF, Fault.FOLLOWING)
     reported = said_by(bench, DriveTrouble)[-1]
     assert (reported.motor, reported.kind) == (2, Trouble.ASTRAY)
-    at, _ = travel(led(bench), 1)
+    at, _ = travel(commanded(bench), 1)
     assert at[-1] - at[0] <= 6
     assert all(each.state == "switch on disabled" for each in bench.drives)
 
@@ -622,7 +622,7 @@ def test_an_absolute_zero_that_cannot_be_is_refused(bench):
     enable(bench)
     assert bench.state == State.OFF
     assert said_by(bench, DriveTrouble)[-1] == DriveTrouble(0, Trouble.CROOKED, 0, 0)
-    assert {row[3] for row in led(bench) if row[1] == 3 and row[2] == 15} <= {7000}
+    assert {row[3] for row in commanded(bench) if row[1] == 3 and row[2] == 15} <= {7000}
 
 
 def test_a_drive_that_does_not_take_the_mode_on_is_refused(bench):
@@ -671,7 +671,7 @@ def test_nothing_undoes_a_stop(bench):
         way(bench)
         live(bench, 150)
         assert bench.state == State.OFF
-        assert set(led(bench, since)[:, 2]) <= {0, 0x80}
+        assert set(commanded(bench, since)[:, 2]) <= {0, 0x80}
         assert all(drive.state != "enabled" for drive in bench.drives)
 
 
@@ -680,7 +680,7 @@ def test_100_000_frames_of_noise_enable_nobody(bench):
     since = bench.network.now
     kinds = [0, SYNC, 0x180, RPDO, 0x580, 0x600, 0x700]
     bench.disturb(100_000, np.add.outer(kinds, NODES).ravel())
-    words = led(bench, since)
+    words = commanded(bench, since)
     off = words[words[:, 2] == 0][0, 0]
     assert set(words[words[:, 0] > off, 2]) <= {0, 0x80}
     assert all(drive.enables == 1 and drive.state != "enabled" for drive in bench.drives)

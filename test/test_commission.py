@@ -332,8 +332,8 @@ def test_a_trouble_ends_a_motion_and_is_reported(bench, rig_file, capsys, happen
     assert bench.run(rig_file) == 1
     assert f"error: {text}" in capsys.readouterr().out
     assert all_off(bench)
-    led = [at for at, i, data in bench.sent if i == RPDO + 2 and data[0] == 15]
-    assert 1e3 * led[-1] <= bench.when + within_ms
+    commanded = [at for at, i, data in bench.sent if i == RPDO + 2 and data[0] == 15]
+    assert 1e3 * commanded[-1] <= bench.when + within_ms
     assert sum(drive.enables for drive in bench.drives) == 1
     assert rig_file.read_bytes() == before
 

@@ -80,7 +80,7 @@ def _bench(leader, dbc, request):
     bench.end()
 
 
-def led(bench, since=0):
+def commanded(bench, since=0):
     """Set_Input_Pos: rows of time [ms], motor, place [m], speed [m/s] and torque [Nm], and the
     state that the drive was told last."""
     rows, state = [], dict.fromkeys(NODES, 0)
@@ -108,7 +108,7 @@ def states(bench, since=0):
 
 def check_bus(bench):
     """No target leaves the limits, or jumps, while there is current."""
-    rows = led(bench)
+    rows = commanded(bench)
     for motor in range(4):
         at, _, place, *_ = rows[(rows[:, 1] == motor) & (rows[:, 5] == 8)].T
         steps = np.diff(place)[np.diff(at) <= 2]
@@ -136,7 +136,7 @@ def test_current_comes_without_a_jump_once_the_watchdogs_have_bitten(bench):
     went = "CLOSED_LOOP_CONTROL"
     assert [drive.history for drive in bench.drives] == [[went, went]] * 4
     assert [drive.reason for drive in bench.drives] == [0x1000000] * 4
-    rows = led(bench)
+    rows = commanded(bench)
     assert np.max(np.abs(rows[:, 2])) < FINE  # where they hang
     assert not rows[:, 3:5].any()
     tell(bench, say(300, Stop(1)))
@@ -154,14 +154,14 @@ def test_a_drive_without_a_watchdog_is_named_and_none_is_led(bench):
     assert trouble == DriveTrouble(3, Trouble.NO_WATCHDOG, 0, 0)
     assert "enable_watchdog" in trouble.text
     assert all(drive.state == 1 for drive in bench.drives)
-    assert np.max(np.abs(led(bench)[:, 2])) < FINE
+    assert np.max(np.abs(commanded(bench)[:, 2])) < FINE
 
 
 def test_the_drives_receive_the_table_with_its_speed_and_torque(bench):
     playing(bench, PLATE)
     live(bench, 500)
     check_bus(bench)
-    rows, curve = led(bench), spline(PLATE.wave(0.004))
+    rows, curve = commanded(bench), spline(PLATE.wave(0.004))
     speed, accel = curve.derivative(), curve.derivative(2)
     began = np.min(rows[np.abs(rows[:, 2]) > FINE, 0])
     late = rows[(rows[:, 0] > began + 10) & (rows[:, 0] < began + 400)]
@@ -206,7 +206,7 @@ def test_one_wrong_position_is_neither_target_nor_home(bench):
     enable(bench, ms=1500)
     assert bench.drives[0].wrong_once == 0
     assert bench.state == State.READY
-    rows = led(bench)
+    rows = commanded(bench)
     assert np.max(np.abs(rows[rows[:, 5] == 8, 2])) < FINE
     assert max(abs(x) for x in said_by(bench, Telemetry)[-1].position) < FINE
 
@@ -224,7 +224,7 @@ def test_home_is_not_taken_in_a_swing(bench):
         drive.position = home
     live(bench, 1200)
     assert bench.state == State.READY
-    rows = led(bench)
+    rows = commanded(bench)
     assert np.max(np.abs(rows[rows[:, 5] == 8, 2])) < FINE
 
 

@@ -352,7 +352,7 @@ def strayed(late_s):
     target = RIG.limits.speed / rate * np.sin(rate * (due + CYCLE_S))
     times = np.arange(0.1, due[-1] - 0.1, CYCLE_S / 20)
 
-    def led(sync):
+    def commanded(sync):
         place = np.zeros(len(sync) + 1)  # where it is when each SYNC comes
         for k, step in enumerate(np.diff(sync, append=sync[-1] + CYCLE_S)):
             place[k + 1] = place[k] + (target[k] - place[k]) * min(step / CYCLE_S, 1)
@@ -361,7 +361,7 @@ def strayed(late_s):
             (times - sync[last]) / CYCLE_S, 1
         )
 
-    error = led(came) - led(due)
+    error = commanded(came) - commanded(due)
     return np.sqrt(np.mean(error**2)), np.max(np.abs(error))
 
 

@@ -8,7 +8,7 @@
 
 Drive drives[MOTORS];
 Axis axes[MOTORS];
-float led[3][MOTORS];
+float last_setpoint[3][MOTORS];
 bool requested, was_ready, follows, hurry;
 static bool home_known, home_lost;
 const Limits *limits;
@@ -316,9 +316,9 @@ void hal_command(const float position[MOTORS], const float velocity[MOTORS],
         float counts = position[m] * drives[m].counts_per_m * drives[m].sign;
         axes[m].target = (int32_t)((uint32_t)axes[m].home + (uint32_t)lrintf(counts));
     }
-    memcpy(led[0], position, sizeof led[0]);
-    memcpy(led[1], velocity, sizeof led[1]);
-    memcpy(led[2], acceleration, sizeof led[2]);
+    memcpy(last_setpoint[0], position, sizeof last_setpoint[0]);
+    memcpy(last_setpoint[1], velocity, sizeof last_setpoint[1]);
+    memcpy(last_setpoint[2], acceleration, sizeof last_setpoint[2]);
     follows = true;
 }
 
@@ -327,7 +327,7 @@ void hal_command(const float position[MOTORS], const float velocity[MOTORS],
 void hal_measure(float position[MOTORS], float acceleration[MOTORS])
 {
     for (int m = 0; m < MOTORS; m++) {
-        position[m] = (follows ? led[0][m] : 0) + off_m(m);
+        position[m] = (follows ? last_setpoint[0][m] : 0) + off_m(m);
         acceleration[m] = 0;
     }
 }

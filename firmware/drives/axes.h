@@ -49,7 +49,7 @@ typedef struct {
 extern Drive drives[MOTORS];
 extern Axis axes[MOTORS];
 extern const Limits *limits;
-extern float led[3][MOTORS]; /* last setpoint [m], [m/s], [m/s2] */
+extern float last_setpoint[3][MOTORS]; /* last setpoint [m], [m/s], [m/s2] */
 extern bool requested, was_ready, follows; /* current is requested; current is on; the axes follow setpoints */
 extern bool hurry; /* whether the current must be switched off in this tick */
 

@@ -125,10 +125,10 @@ static void set_position(int m)
 {
     const Axis *axis = &axes[m];
     float turns_per_m = drives[m].sign * drives[m].counts_per_m / COUNTS;
-    float force = force_of(limits, m, led[2]);
+    float force = force_of(limits, m, last_setpoint[2]);
     uint8_t data[8];
     put_f32(data, (float)axis->target / COUNTS);
-    put_u16(data + 4, follows ? (uint16_t)thousandths(led[1][m] * turns_per_m) : 0);
+    put_u16(data + 4, follows ? (uint16_t)thousandths(last_setpoint[1][m] * turns_per_m) : 0);
     put_u16(data + 6, follows ? (uint16_t)thousandths(force / (6.2831853f * turns_per_m)) : 0);
     send((uint16_t)(drives[m].node << 5 | SET_POSITION), data, 8);
 }

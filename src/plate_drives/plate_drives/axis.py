@@ -49,7 +49,11 @@ ASTRAY_M = 1e-3
 """Maximum following error if the rig file does not contain a limit [m]."""
 
 START, PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 0x01, 0x80, 0x81, 0x82
-OPERATIONAL, PDO_OFF, NO_RTR, LED, LEADABLE = 5, 1 << 31, 1 << 30, 0x227, 0x26F
+OPERATIONAL, PDO_OFF, NO_RTR = 5, 1 << 31, 1 << 30
+OPERATION_ENABLED, OPERATION_MASK = 0x227, 0x26F
+"""State *operation enabled* of CiA 402 in a status word of a drive under remote control, and the
+mask of the bits that define it."""
+
 DISABLE, QUICK_STOP, SHUTDOWN, SWITCH_ON, OPERATE = 0x00, 0x02, 0x06, 0x07, 0x0F
 
 STEPS = (
@@ -139,7 +143,7 @@ class Axis:
         self.position = self.start = self._target = 0
         self._status = self._missed = self._doubled = self._beat = 0
         self._due = self.late_s = 0.0
-        self._led = self._deviates = False
+        self._commanded = self._deviates = False
 
     def __enter__(self) -> Axis:
         """Configure the drive without switching on its current."""
@@ -232,6 +236,7 @@ class Axis:
         reached, self._target = self._target, target
         self._exchange_frames(word)
         received, deviation = self._received, abs(self.position - reached) / abs(self.scale)
+        enabled = self._status & OPERATION_MASK == OPERATION_ENABLED
         troubles = (
             (received.emergency, Trouble.EMERGENCY, *(received.emergency or (0, 0))[::-1]),
             (received.boots, Trouble.RESET, 0, 0),
@@ -240,7 +245,7 @@ class Axis:
             (self._missed == MISSED, Trouble.NO_POSITION, 0, 0),
             (self._doubled == MISSED, Trouble.TWICE, 0, 0),
             (is_in_fault(self._status), Trouble.FAULT, 0, self._status),
-            (self._led and self._status & LEADABLE != LED, Trouble.LEFT, 0, self._status),
+            (self._commanded and not enabled, Trouble.LEFT, 0, self._status),
         )  # fmt: skip
         for so, kind, index, code in troubles:
             if so:
@@ -287,7 +292,7 @@ class Axis:
             self._run_bus_cycle(
                 SHUTDOWN if ready else known.get(self._status & 0x6F, 0), self.position
             )
-        self.start, self._led = self._target, True
+        self.start, self._commanded = self._target, True
 
     def hold(self) -> None:
         """Keep the motor at its present target for one bus cycle."""

@@ -319,14 +319,14 @@ class SetpointCheck:
         self._zeros, self._targets = zeros, np.zeros(len(drives), int)
         self._limits = np.array([limits.stroke_m, limits.speed, limits.accel])
         # last three setpoints [m]; empty while the motors have no current
-        self._led: list[np.ndarray] = []
+        self._setpoints: list[np.ndarray] = []
         self.fractions = np.zeros(3)
         """Maximum stroke, speed and acceleration of the setpoints so far, as fractions of the
         limits."""
 
-    def receive(self, frames: Sequence[Frame], led: bool) -> None:
-        """Check the setpoints in the frames that the firmware sent in a tick. `led` states whether
-        all motors have current."""
+    def receive(self, frames: Sequence[Frame], enabled: bool) -> None:
+        """Check the setpoints in the frames that the firmware sent in a tick. `enabled` states
+        whether all motors have current."""
         for identifier, data in frames:
             if identifier in self._places:
                 if self._odrives:
@@ -335,10 +335,10 @@ class SetpointCheck:
                     target = struct.unpack("<Hi", data)[1]
                 self._targets[self._places[identifier]] = target
             if identifier == self._last:
-                places = [*self._led[-2:], (self._targets - self._zeros) / self._scale]
-                self._led = places if led else []
+                places = [*self._setpoints[-2:], (self._targets - self._zeros) / self._scale]
+                self._setpoints = places if enabled else []
                 steps = np.diff(places, axis=0) / CYCLE_S
-                if led:
+                if enabled:
                     found = (places, steps, np.diff(steps, axis=0) / CYCLE_S)
                     maxima = [np.max(np.abs(values), initial=0.0) for values in found]
                     self.fractions = np.maximum(self.fractions, maxima / self._limits)
