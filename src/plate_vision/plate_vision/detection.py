@@ -360,8 +360,8 @@ def _has_many_misfits(discs: Discs) -> bool:
     good = GOOD_MISFIT if discs.shadow is None else GOOD_FIT
     uncertain = np.count_nonzero(discs.found["misfit"] > good)
     if len(discs.overlooked):
-        odd = np.isin(discs.overlooked["reason"], ("misfit", "too large", "too small"))
-        uncertain += np.count_nonzero(odd)
+        is_doubtful = np.isin(discs.overlooked["reason"], ("misfit", "too large", "too small"))
+        uncertain += np.count_nonzero(is_doubtful)
     return bool(uncertain >= MIN_OBJECTS and uncertain > ROUGH * len(discs.found))
 
 
@@ -446,7 +446,7 @@ def _find_discs_by_contrast(
         parts = silhouettes(point_px)
         return parts if shadow is None else shadow.drawn(point_px, parts)
 
-    dark = remains.odd | remains.outside.astype(np.uint8)
+    dark = remains.deviating | remains.outside.astype(np.uint8)
     seeds, parts = seeds_of(
         contrast, dark, remains.outside, remains.grid, scene.view.min_radius_px, dark_shapes
     )

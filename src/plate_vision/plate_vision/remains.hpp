@@ -13,9 +13,9 @@ namespace plate {
 // Width [px] of a part's blurred edge. Pixels within this distance of a part belong to the part.
 constexpr double CLEAR_PX = 2.5;
 
-// Set the pixels of a grid `odd` (h, w) to 0 where there are parts. `parts` (n,) are the
+// Set the pixels of a grid `deviating` (h, w) to 0 where there are parts. `parts` (n,) are the
 // silhouettes of the parts at `places` (n, 2) [px].
-inline void clear_parts(View<uint8_t, 2> odd, const std::array<int, 3>& grid,
+inline void clear_parts(View<uint8_t, 2> deviating, const std::array<int, 3>& grid,
                         View<const double, 2> places, const Silhouette* parts) {
     for (int k = 0; k < places.size(0); k++) {
         // `width` is the maximum distance between a point of the part and the line from the part's
@@ -26,7 +26,8 @@ inline void clear_parts(View<uint8_t, 2> odd, const std::array<int, 3>& grid,
         const double square = dx * dx + dy * dy, over = 1 / std::max(square, 1e-9);
         const double width = parts[k].reach() + CLEAR_PX - std::sqrt(square);
         const auto index = [&](double place, int axis) {
-            return std::clamp<int>(std::ceil((place - grid[axis]) / grid[2]), 0, odd.size(1 - axis));
+            return std::clamp<int>(std::ceil((place - grid[axis]) / grid[2]), 0,
+                                   deviating.size(1 - axis));
         };
         const int top = index(y0 + std::min(dy, 0.0) - width, 1);
         const int bottom = index(y0 + std::max(dy, 0.0) + width, 1);
@@ -38,7 +39,7 @@ inline void clear_parts(View<uint8_t, 2> odd, const std::array<int, 3>& grid,
                 const double x = grid[0] + column * grid[2] - x0;
                 const double way = std::clamp((x * dx + y * dy) * over, 0.0, 1.0);
                 const double gap_x = x - way * dx, gap_y = y - way * dy;
-                if (gap_x * gap_x + gap_y * gap_y <= width * width) odd(row, column) = 0;
+                if (gap_x * gap_x + gap_y * gap_y <= width * width) deviating(row, column) = 0;
             }
         }
     }
@@ -47,16 +48,16 @@ inline void clear_parts(View<uint8_t, 2> odd, const std::array<int, 3>& grid,
 // Whether any four neighbouring pixels of a grid deviate from the bare plate by more than a limit.
 // Pixels of parts are ignored. Only pixels that are true in `counts` (h, w) are evaluated. `parts`
 // (n,) are the silhouettes of the parts at `places` (n, 2) [px].
-inline bool any_odd(View<const uint8_t, 3> image, View<const float, 2> lights, double limit,
+inline bool any_deviating(View<const uint8_t, 3> image, View<const float, 2> lights, double limit,
                     View<const bool, 2> counts, const std::array<int, 3>& grid,
                     View<const double, 2> places, const Silhouette* parts) {
     const int rows = counts.size(0), columns = counts.size(1);
     std::vector<uint8_t> pixels(static_cast<size_t>(rows) * columns);
-    const View<uint8_t, 2> odd{pixels.data(), counts.shape};
-    find_odd(image, lights, limit, grid, odd);
-    clear_parts(odd, grid, places, parts);
+    const View<uint8_t, 2> deviating{pixels.data(), counts.shape};
+    find_deviating(image, lights, limit, grid, deviating);
+    clear_parts(deviating, grid, places, parts);
     for (int row = 1; row < rows; row++) {
-        const uint8_t *above = odd[row - 1], *here = odd[row];
+        const uint8_t *above = deviating[row - 1], *here = deviating[row];
         const bool *counts_above = counts[row - 1], *counts_here = counts[row];
         int found = 0;
         for (int column = 1; column < columns; column++)

@@ -43,7 +43,7 @@ class Remains(NamedTuple):
 
     Attributes
     ----------
-    odd : (h, w) uint8
+    deviating : (h, w) uint8
         1 where a pixel of the grid differs from the bare plate, 0 elsewhere.
     outside : (h, w) bool
         Whether a pixel of the grid is outside the plate.
@@ -51,7 +51,7 @@ class Remains(NamedTuple):
         First x, first y, and step of the grid [px].
     """
 
-    odd: np.ndarray
+    deviating: np.ndarray
     outside: np.ndarray
     grid: tuple[int, int, int]
 
@@ -77,42 +77,42 @@ def find_remains(
     if counts.size == 0:
         return None
     lit = channels.image, channels.lights
-    if not _kernels.any_odd(*lit, limit, counts, coarse, centre, shapes):
+    if not _kernels.any_deviating(*lit, limit, counts, coarse, centre, shapes):
         return None
     outside = region.outside(stride)
     grid = (x0, y0, stride)
-    odd = find_deviating_pixels(channels, limit, grid, outside.shape)
-    odd[outside] = 0
-    _kernels.clear_parts(odd, grid, centre, shapes)
-    return Remains(odd, outside, grid)
+    deviating = find_deviating_pixels(channels, limit, grid, outside.shape)
+    deviating[outside] = 0
+    _kernels.clear_parts(deviating, grid, centre, shapes)
+    return Remains(deviating, outside, grid)
 
 
 def remove_parts(remains: Remains, centre: np.ndarray, parts: np.ndarray) -> Remains:
     """Remove parts at places (n, 2) [px] with silhouettes (n,) SILHOUETTE from the remains."""
-    odd = remains.odd.copy()
-    _kernels.clear_parts(odd, remains.grid, centre, silhouette_rows(parts))
-    return remains._replace(odd=odd)
+    deviating = remains.deviating.copy()
+    _kernels.clear_parts(deviating, remains.grid, centre, silhouette_rows(parts))
+    return remains._replace(deviating=deviating)
 
 
 def clean_remains(remains: Remains, radius_px: float) -> Remains:
     """Remove specks from the remains, and fill small enclosed areas, which are highlights and holes
     of parts. `radius_px` is the radius of a part [px]."""
     stride = remains.grid[2]
-    odd = remains.odd.copy()
+    deviating = remains.deviating.copy()
     max_hole = HOLE * np.pi * (radius_px / stride) ** 2
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(1 - odd, connectivity=4)
-    height, width = odd.shape
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(1 - deviating, connectivity=4)
+    height, width = deviating.shape
     left, top = stats[:, cv2.CC_STAT_LEFT], stats[:, cv2.CC_STAT_TOP]
     right, bottom = left + stats[:, cv2.CC_STAT_WIDTH], top + stats[:, cv2.CC_STAT_HEIGHT]
     hole = (stats[:, cv2.CC_STAT_AREA] <= max_hole) & (left > 0) & (top > 0)
     hole &= (right < width) & (bottom < height)
     hole[0] = False  # label 0 is the area of the objects, not a hole
     if count > 1 and np.any(hole):
-        odd[hole[labels]] = 1
+        deviating[hole[labels]] = 1
     # Small specks are removed after the holes are filled. In the opposite order, a hole near the
     # edge of an object could lose its border and would not be filled.
-    odd = np.asarray(cv2.morphologyEx(odd, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)))
-    return remains._replace(odd=odd)
+    deviating = np.asarray(cv2.morphologyEx(deviating, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)))
+    return remains._replace(deviating=deviating)
 
 
 def overlooked_objects(
@@ -126,7 +126,7 @@ def overlooked_objects(
     """
     x0, y0, stride = remains.grid
     levels = 1 - contrast.grey[y0::stride, x0::stride] / np.float32(contrast.light[0])
-    count, labels, stats, middle = cv2.connectedComponentsWithStats(remains.odd)
+    count, labels, stats, middle = cv2.connectedComponentsWithStats(remains.deviating)
     part_area = np.pi * (radius_px / stride) ** 2
     rows = [k for k in range(1, count) if stats[k, cv2.CC_STAT_AREA] >= MIN_AREA * part_area]
     if not rows:

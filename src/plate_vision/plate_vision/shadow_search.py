@@ -188,8 +188,8 @@ class _ShadowFit:
         inner = (steps > INNER_PX) & (steps < length - shadow.edge_px)
         if length < np.median(self.parts["radius_px"]) or not np.any(inner):
             return self.mean_misfit(shadow)
-        odd = np.median(np.abs(levels[:, inner] - shadow.darkness), axis=1)
-        return float(np.mean(np.minimum(discs["misfit"] + odd, WORST)))
+        deviation = np.median(np.abs(levels[:, inner] - shadow.darkness), axis=1)
+        return float(np.mean(np.minimum(discs["misfit"] + deviation, WORST)))
 
     def with_measured_length(self, shadow: Shadow) -> Shadow:
         """Return the shadow with its measured length. The shadow ends where the median darkness
@@ -256,9 +256,9 @@ def _find_elongated_objects(
     image. Return None if there are too few objects."""
     x0, y0, stride = remains.grid
     beside = cv2.dilate(remains.outside.astype(np.uint8), np.ones((3, 3), np.uint8))
-    count, labels, stats, middle = cv2.connectedComponentsWithStats(remains.odd)
+    count, labels, stats, middle = cv2.connectedComponentsWithStats(remains.deviating)
     at_edge = np.zeros(count, bool)
-    at_edge[labels[(beside > 0) & (remains.odd > 0)]] = True
+    at_edge[labels[(beside > 0) & (remains.deviating > 0)]] = True
     middle = middle * stride + (x0, y0)
     parts = silhouettes(middle)
     radius = parts["radius_px"] + SKIRT_PX
@@ -276,12 +276,12 @@ def _find_elongated_objects(
         m = cv2.moments(mask, binaryImage=True)
         flat[k] = m["mu20"] - m["mu02"], 2 * m["mu11"]
         flat[k] /= m["mu20"] + m["mu02"]
-    much = np.hypot(*flat.T)
-    unit = flat / np.maximum(much, 1e-9)[:, None]
+    flatness = np.hypot(*flat.T)
+    unit = flat / np.maximum(flatness, 1e-9)[:, None]
     mean = unit.mean(axis=0)
     if np.hypot(*mean) < ALIGNED:
         return None
-    length = np.interp(much, _capsule_flatness(RATIOS), RATIOS) * radius[rows]
+    length = np.interp(flatness, _capsule_flatness(RATIOS), RATIOS) * radius[rows]
     if np.median(length / radius[rows]) < MIN_LENGTH:
         return None
     angles = 0.5 * np.arctan2(unit[:, 1], unit[:, 0])

@@ -35,14 +35,14 @@ WRONG = {
     "contrast beyond the image": lambda: _kernels.write_contrast(
         GREY[..., None], LIGHT[None], (0, 0, 31, 20), GREY
     ),
-    "a grid beyond the colours": lambda: _kernels.find_odd(
+    "a grid beyond the colours": lambda: _kernels.find_deviating(
         GREY[..., None], LIGHT[None], 0.1, (0, 0, 2), np.zeros((20, 30), np.uint8)
     ),
     "parts that are not drawn": lambda: _kernels.clear_parts(GREY, (0, 0, 1), PAIRS, DISCS[1:]),
-    "more pixels to look at than there are": lambda: _kernels.any_odd(
+    "more pixels to look at than there are": lambda: _kernels.any_deviating(
         GREY[..., None], LIGHT[None], 0.1, USABLE, (0, 1, 1), PAIRS, DISCS
     ),
-    "silhouettes of other parts": lambda: _kernels.any_odd(
+    "silhouettes of other parts": lambda: _kernels.any_deviating(
         GREY[..., None], LIGHT[None], 0.1, USABLE, (0, 0, 1), PAIRS, DISCS[1:]
     ),
     "no place for marks": lambda: _kernels.measure_dark(

@@ -29,7 +29,7 @@ from plate_core import PlateError, Rig
 from ..library import Library, min_time
 from ..library.condition import columns_of, second_moment, unit
 
-DEAR = 1e6
+MISSING_FORCE_COST = 1e6
 """Cost of a unit of requested force that is not produced [cycles / (mu m g)]. This cost is higher
 than the cost of any feasible force, so that every feasible force is produced."""
 
@@ -123,8 +123,8 @@ def _force_along(columns: np.ndarray, direction: np.ndarray) -> tuple[float, np.
     Return the distance of this point from 0 as a multiple of the direction, and the normal of the
     hull's face at the point."""
     rows, count = columns.shape
-    dear = np.full(rows, DEAR)
-    plan = min_time(columns, direction, np.ones(count), dear)
+    costs = np.full(rows, MISSING_FORCE_COST)
+    plan = min_time(columns, direction, np.ones(count), costs)
     if np.max(np.abs(direction - columns @ plan.weights)) > 1e-6:
         return 0.0, plan.price
     return 1 / plan.cost, plan.price

@@ -170,8 +170,8 @@ def reachable_fraction(library: Library, position: np.ndarray, force: np.ndarray
     rows, right_side = library.forces(position), force.T.ravel()
     if not np.any(right_side):
         return float("inf")
-    dear = np.full(len(rows), OUT_OF_REACH)
-    return 1 / min_time(rows, right_side, np.ones(rows.shape[1]), dear).cost
+    costs = np.full(len(rows), OUT_OF_REACH)
+    return 1 / min_time(rows, right_side, np.ones(rows.shape[1]), costs).cost
 
 
 def _along(requested: np.ndarray, missed: np.ndarray) -> float:

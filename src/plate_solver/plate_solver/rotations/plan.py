@@ -95,9 +95,9 @@ def plan_rotations(
     matrix = np.vstack([np.tile(rows, len(SPEEDS)), twist.T])
     curl_m = np.zeros(0) if curl is None else curl[with_curl] * CURL_LENGTH_M
     right_side = np.concatenate([force.T.ravel(), curl_m, np.zeros(3)])
-    dear = np.append(np.full(len(rows), price), np.full(3, CLOSURE_PRICE))
+    prices = np.append(np.full(len(rows), price), np.full(3, CLOSURE_PRICE))
     cost = np.ones(len(library.twist)) if cost is None else cost
-    times = min_time(matrix, right_side, np.tile(cost, len(SPEEDS)), dear, start)
+    times = min_time(matrix, right_side, np.tile(cost, len(SPEEDS)), prices, start)
     used = np.flatnonzero(np.abs(times.weights) > 1e-9)
     if not len(used):  # the request is zero: use one rotation of duration 0
         used = np.zeros(1, dtype=int)

@@ -359,7 +359,7 @@ template <bool SHADOW, bool HIGH>
     const float steep = 0.75 / disc[EDGE];
     const float near = 1 + CONTOUR_PX / disc[EDGE];
     const float dark = std::max(std::max(disc[SIDE], disc[TOP]), MIN_DARKNESS);
-    const float odd = std::max<float>(ODD_FRACTION * dark, ODD_SIGMAS * noise);
+    const float threshold = std::max<float>(ODD_FRACTION * dark, ODD_SIGMAS * noise);
     const float worst = WORST_FRACTION * dark;
     const float *__restrict x = window.x(), *__restrict y = window.y();
     const float *__restrict rest = window.rest(), *__restrict seen = window.seen();
@@ -388,7 +388,8 @@ template <bool SHADOW, bool HIGH>
             under = beside > 0 ? shade : 0;
         }
         const float gap = rest[i] - level * cover - shade * beside;
-        const float kept = depth > 1 && std::abs(gap) > odd ? 0.f : 1.f, weight = seen[i] * kept;
+        const float kept = depth > 1 && std::abs(gap) > threshold ? 0.f : 1.f;
+        const float weight = seen[i] * kept;
         const float error = gap * weight, gr = (level - under) * steep * (1 - u * u) * weight;
         const float rim = std::abs(depth) < near ? seen[i] : 0.f;
         const float inverse = 1 / std::max(far, 1e-3f);

@@ -149,14 +149,14 @@ void bind_discs(nb::module_& m) {
         nb::gil_scoped_release others_may_run;
         find_dark(plate, threshold, grid, view(outside), view(dark));
     }, arg(), arg(), arg(), arg(), arg(), arg(), arg().noconvert());
-    m.def("clear_parts", [](Array<uint8_t, 2> odd, std::array<int, 3> grid, In<double, 2> places,
-                            In<double, 2> parts) {
+    m.def("clear_parts", [](Array<uint8_t, 2> deviating, std::array<int, 3> grid,
+                            In<double, 2> places, In<double, 2> parts) {
         require(are_pairs(places) && grid[2] > 0, "shape: places (n, 2), grid: allowed: a step");
         const Silhouette* shapes = as_silhouettes(parts, places.shape(0));
         nb::gil_scoped_release others_may_run;
-        clear_parts(view(odd), grid, view(places), shapes);
+        clear_parts(view(deviating), grid, view(places), shapes);
     }, arg().noconvert(), arg(), arg(), arg());
-    m.def("any_odd", [](In<uint8_t, 3> image, In<float, 2> lights, double limit,
+    m.def("any_deviating", [](In<uint8_t, 3> image, In<float, 2> lights, double limit,
                         In<bool, 2> counts, std::array<int, 3> grid, In<double, 2> places,
                         In<double, 2> parts) {
         require_lights(image, lights);
@@ -164,7 +164,8 @@ void bind_discs(nb::module_& m) {
         require(are_pairs(places), "shape: places (n, 2)");
         const Silhouette* shapes = as_silhouettes(parts, places.shape(0));
         nb::gil_scoped_release others_may_run;
-        return any_odd(view(image), view(lights), limit, view(counts), grid, view(places), shapes);
+        return any_deviating(view(image), view(lights), limit, view(counts), grid, view(places),
+                             shapes);
     });
     m.def("find_blobs", [](Array<bool, 2> core, Array<int32_t, 2> number) {
         require(same_pixels(core, number), "shapes: core and number (h, w)");

@@ -42,7 +42,7 @@ inline void write_contrast(View<const uint8_t, 3> image, View<const float, 2> li
 // Set each pixel of a grid (h, w) to 1 if it deviates from the bare plate by more than a limit, and
 // to 0 otherwise. The function uses the mean of each pixel and its three neighbours to the right
 // and below. The noise of this mean is half as large as the noise of a pixel.
-PLATE_WIDE inline void find_odd(View<const uint8_t, 3> image, View<const float, 2> lights,
+PLATE_WIDE inline void find_deviating(View<const uint8_t, 3> image, View<const float, 2> lights,
                                 double limit, const std::array<int, 3>& grid,
                                 View<uint8_t, 2> out) {
     const int height = image.size(0), width = image.size(1), channels = image.size(2);
@@ -54,11 +54,11 @@ PLATE_WIDE inline void find_odd(View<const uint8_t, 3> image, View<const float, 
     std::vector<float> means(columns), places(columns);
     std::vector<int> found(columns);
     float *__restrict mean = means.data(), *__restrict x = places.data();
-    int* __restrict odd = found.data();
+    int* __restrict deviating = found.data();
     for (int column = 0; column < columns; column++) x[column] = grid[0] + column * grid[2];
     for (int row = 0; row < out.size(0); row++) {
         const int y = grid[1] + row * grid[2];
-        std::fill_n(odd, columns, 0);
+        std::fill_n(deviating, columns, 0);
         for (int c = 0; c < channels; c++) {
             const uint8_t* here = image[y] + channels * grid[0] + c;
             const uint8_t* under = y + 1 < height ? here + channels * width : here;
@@ -71,10 +71,10 @@ PLATE_WIDE inline void find_odd(View<const uint8_t, 3> image, View<const float, 
 #pragma omp simd
             for (int column = 0; column < columns; column++) {
                 const float empty = bare(light, x[column], y);
-                odd[column] |= (mean[column] < low * empty) | (mean[column] > high * empty);
+                deviating[column] |= (mean[column] < low * empty) | (mean[column] > high * empty);
             }
         }
-        std::copy_n(odd, columns, out[row]);
+        std::copy_n(deviating, columns, out[row]);
     }
 }
 

@@ -81,9 +81,9 @@ def find_deviating_pixels(
     """Return (h, w) uint8, which is 1 where a pixel of a grid deviates from the plate by more than
     a limit, and 0 elsewhere. `grid` is the first x, the first y and the step [px]. `shape` is
     (h, w)."""
-    odd = np.empty(shape, np.uint8)
-    _kernels.find_odd(channels.image, channels.lights, limit, grid, odd)
-    return odd
+    deviating = np.empty(shape, np.uint8)
+    _kernels.find_deviating(channels.image, channels.lights, limit, grid, deviating)
+    return deviating
 
 
 def brightness(channels: Channels, places: np.ndarray, radii_px: np.ndarray) -> np.ndarray:

@@ -51,12 +51,12 @@ void bind_plate(nb::module_& m) {
         nb::gil_scoped_release others_may_run;
         write_contrast(view(image), view(lights), x0, y0, x1, y1, view(out));
     }, nb::arg(), nb::arg(), nb::arg(), nb::arg().noconvert());
-    m.def("find_odd", [](In<uint8_t, 3> image, In<float, 2> lights, double limit,
+    m.def("find_deviating", [](In<uint8_t, 3> image, In<float, 2> lights, double limit,
                          std::array<int, 3> grid, Array<uint8_t, 2> out) {
         require_lights(image, lights);
         require_grid(grid, out.shape(0), out.shape(1), image);
         nb::gil_scoped_release others_may_run;
-        find_odd(view(image), view(lights), limit, grid, view(out));
+        find_deviating(view(image), view(lights), limit, grid, view(out));
     }, nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg().noconvert());
     m.def("find_brightness", [](In<uint8_t, 3> image, In<float, 2> lights, In<double, 2> places,
                                 In<double, 1> radii, double inner) {
