@@ -47,7 +47,10 @@ def check_size(
     message begins with `what` and ends with `why`."""
     if size_px != allowed_px:
         seen, allowed = (" x ".join(map(str, size)) for size in (size_px, allowed_px))
-        raise error(f"{what} {seen} px, allowed: {allowed} px{why}")
+        turned = ""
+        if size_px == allowed_px[::-1]:
+            turned = "; width and height are exchanged, as by a rotation of 90 degrees"
+        raise error(f"{what} {seen} px, allowed: {allowed} px{why}{turned}")
 
 
 def check_ranges(options: object, ranges: Mapping[str, tuple[float, float]]) -> None:

@@ -279,6 +279,14 @@ JSON_MESSAGE = """{"width": 640, "height": 480, "distortion_model": "plumb_bob",
 "K": [438.783367, 0, 305.593336, 0, 437.302876, 243.738352, 0, 0, 1]}"""
 
 
+@pytest.mark.parametrize("text", [FILE, OPENCV_FILE, INI_FILE, KALIBR, COLMAP, MESSAGE])
+def test_files_of_a_windows_editor(tmp_path, text):
+    """With a byte order mark, and carriage returns."""
+    path = tmp_path / "camera.yaml"
+    path.write_bytes(b"\xef\xbb\xbf" + text.lstrip().replace("\n", "\r\n").encode())
+    assert load_lens(path, (640, 480)).matrix[0, 0] == 438.783367
+
+
 @pytest.mark.parametrize("text", [KALIBR, COLMAP, MESSAGE, MESSAGE * 2, JSON_MESSAGE])
 def test_files_of_other_tools(load, text):
     """The same camera as in the file of ROS. COLMAP counts pixels from the corner of the first."""

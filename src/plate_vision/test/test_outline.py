@@ -171,6 +171,16 @@ def test_a_flipped_image_is_named(view, name, rng):
     assert found.level == Level.ERROR
 
 
+@pytest.mark.parametrize(("turns", "name"), [(-1, "clockwise"), (1, "anticlockwise")])
+def test_a_square_image_rotated_by_90_degrees_is_named(turns, name, rng):
+    view = View(tilt_x=25, tilt_y=10, distance=1.05, size=(700, 700))
+    image = draw(view, [*BARE, *parts_over_edges(rng)], 60.0)
+    found = evaluate(rig_of(view), [np.ascontiguousarray(np.rot90(image, turns))] * IMAGES).finding
+    assert found.message.startswith(f"the image is rotated by 90 degrees {name}, because")
+    assert found.level == Level.ERROR
+    no_claim(evaluate(rig_of(view), [image] * IMAGES))
+
+
 def test_ways_to_flip_that_look_alike_are_all_named():
     view = View(tilt_y=20, distance=1.0)  # symmetric about the image's horizontal axis
     image = draw(view, BARE, 60.0)

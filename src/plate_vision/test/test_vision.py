@@ -58,6 +58,11 @@ def test_same_frames_give_the_same_bits(vision, draw, rng):
     assert a.position.tobytes() == b.position.tobytes()
 
 
+def test_an_image_on_its_side_is_called_rotated(vision):
+    with pytest.raises(ImageError, match=r"480 x 640 px, allowed: 640 .*rotation of 90 degrees"):
+        observe(vision, Tracker(), np.full((640, 480), 200, np.uint8), DT)
+
+
 @pytest.mark.parametrize("shape", [(240, 320), (640, 480), (481, 640, 3), (1, 1), (640,)])
 def test_another_size_is_refused(vision, draw, rng, shape):
     tracker = observe(vision, Tracker(), draw([], [], rng), 0.0)

@@ -6,6 +6,7 @@ a folder or a video. Sizes are checked before the pixels are unpacked.
 
 from __future__ import annotations
 
+import codecs
 import mimetypes
 import re
 import sys
@@ -63,7 +64,8 @@ def load_lens(path: str | Path, expected_px: tuple[int, int] | None = None) -> L
 
 
 def _read_camera_fields(path: Path) -> Fields:
-    content = read_file(path, YAML_BYTES, CalibrationError)
+    # editors of Windows begin a file with the byte order mark
+    content = read_file(path, YAML_BYTES, CalibrationError).removeprefix(codecs.BOM_UTF8)
     if is_opencv(content):
         return read_opencv(content, path)
     if is_ini(content):

@@ -139,6 +139,14 @@ FLIPS = {
 and columns that undo the flip."""
 
 
+QUARTER_TURNS = {
+    "rotated by 90 degrees clockwise": 1,
+    "rotated by 90 degrees anticlockwise": -1,
+}
+"""Rotations of a square image, which do not change its size. The number is the argument of
+`numpy.rot90` that undoes the rotation."""
+
+
 @dataclass(frozen=True, eq=False)
 class OutlineGrid:
     """Image points at which the plate's edges are searched.
@@ -677,13 +685,17 @@ def _percent(change: float) -> str:
 
 
 def find_fitting_flips(image: np.ndarray, grid: OutlineGrid) -> tuple[str, ...]:
-    """Return the flips of `FLIPS` with which the outline in an image (H, W) or (H, W, 3) agrees on
-    all four edges. The result is empty if the outline agrees without a flip."""
+    """Return the flips with which the outline in an image (H, W) or (H, W, 3) agrees on all four
+    edges. The flips are those of `FLIPS`, and for a square image also those of `QUARTER_TURNS`. The
+    result is empty if the outline agrees without a flip."""
     if np.all(measure_outline(image, grid, grid.near).within(grid.near)):
         return ()
+    undone = {name: image[::down, ::across] for name, (down, across) in FLIPS.items()}
+    if image.shape[0] == image.shape[1]:
+        undone |= {name: np.rot90(image, turns) for name, turns in QUARTER_TURNS.items()}
     names = []
-    for name, (down, across) in FLIPS.items():
-        turned = np.ascontiguousarray(image[::down, ::across])
-        if np.all(measure_outline(turned, grid, grid.near).within(grid.near)):
+    for name, upright in undone.items():
+        outline = measure_outline(np.ascontiguousarray(upright), grid, grid.near)
+        if np.all(outline.within(grid.near)):
             names.append(name)
     return tuple(names)
