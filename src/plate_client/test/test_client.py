@@ -32,20 +32,22 @@ def test_targets_without_subscribers_are_reported(monkeypatch):
         plate.move_targets([PartTarget("black_1", (0.0, 0.0))])
 
 
-@pytest.fixture(name="planner")
-def _planner():
+@pytest.fixture(name="planner", params=["diagnostics", "/diagnostics"])
+def _planner(request):
     """A client, and a planner that takes the targets of black_1. It publishes the reason why it
-    refuses others in its diagnostics, and the last reason once more, as the planner does."""
-    with PlateClient.connect(f"/targets_{os.getpid()}") as plate:
+    refuses others in its diagnostics, and the last reason once more, as the planner does. The topic
+    can be shared with another plate."""
+    with PlateClient.connect(f"targets_{os.getpid()}/") as plate:
         node = plate.node  # the client's thread also serves the planner
         current = node.create_publisher(Targets, "part_targets", LATCHED)
-        reports = node.create_publisher(DiagnosticArray, "diagnostics", DATA)
+        reports = node.create_publisher(DiagnosticArray, request.param, DATA)
         planner = SimpleNamespace(reason="", answers=True)
+        planner_name = f"{node.get_namespace()}/planner"
 
         def publish(reason):
             values = [KeyValue(key="refusal", value=reason)]
             reports.publish(
-                DiagnosticArray(status=[DiagnosticStatus(name="planner", values=values)])
+                DiagnosticArray(status=[DiagnosticStatus(name=planner_name, values=values)])
             )
 
         def take(msg):

@@ -8,7 +8,7 @@ from .cycle_request import AngleTargets, CycleRequest, Forces, Targets
 from .ending import ends, piped
 from .errors import CycleError, FrameError, PlateError, RigError, ScenarioError, did_you_mean
 from .motion import PlateCycle
-from .network import choose_network, memory_problem, ros_domain
+from .network import choose_network, memory_problem, node_namespace, ros_domain
 from .parts import (
     GROUP,
     MAX_PARTS,
@@ -47,6 +47,7 @@ __all__ = [
     "ends",
     "load_rig",
     "memory_problem",
+    "node_namespace",
     "part_class",
     "piped",
     "ros_domain",

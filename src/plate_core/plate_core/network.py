@@ -3,12 +3,13 @@ nodes.
 
 `choose_network` sets the environment variables that select a profile of Fast DDS and the discovery
 range. `memory_problem` checks the shared memory of Fast DDS. `ros_domain` reads the ROS domain from
-the environment.
+the environment, and `node_namespace` reads a namespace.
 """
 
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping, MutableMapping
 from pathlib import Path
 
@@ -72,6 +73,22 @@ def memory_problem(folder: str | Path = MEMORY) -> str:
         f"{folder} cannot be written, allowed: a folder in memory that this user can write "
         f"(mount -t tmpfs none {folder}). Without it, images are sent over UDP, and many are lost"
     )
+
+
+def node_namespace(text: str) -> str:
+    """Return the namespace of a node in the form that ROS accepts: with a slash at the beginning,
+    and without a slash at the end.
+
+    Raises
+    ------
+    PlateError
+        If the text is not a namespace.
+    """
+    if not re.fullmatch(r"/?|/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*/?", text, re.ASCII):
+        raise PlateError(
+            f"namespace is {text!r}, allowed: words of letters, digits and _, with / between them"
+        )
+    return f"/{text.strip('/')}"
 
 
 def ros_domain(environ: Mapping[str, str]) -> int:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from plate_core import PlateError, choose_network, memory_problem, ros_domain
+from plate_core import PlateError, choose_network, memory_problem, node_namespace, ros_domain
 
 ENV_SH = "/elsewhere/config/fastdds.xml"
 """Variables that env.sh exports, whatever is requested later."""
@@ -91,3 +91,12 @@ def test_a_domain_without_ports_is_refused(text):
     with pytest.raises(PlateError, match=f"ROS_DOMAIN_ID is '{text}', allowed: a whole number"):
         ros_domain({"ROS_DOMAIN_ID": text})
     assert (ros_domain({}), ros_domain({"ROS_DOMAIN_ID": "232"})) == (0, 232)
+
+
+def test_a_namespace_is_read_as_in_launch_files():
+    for text, namespace in (("", "/"), ("/", "/"), ("left", "/left"), ("/left/", "/left"),
+                            ("cell/left_2/", "/cell/left_2")):  # fmt: skip
+        assert node_namespace(text) == namespace
+    for text in ("a b", "9left", "a//b", "~", "//", "left\n", "\u00e9"):
+        with pytest.raises(PlateError, match=r"^namespace is .*, allowed: words of letters"):
+            node_namespace(text)

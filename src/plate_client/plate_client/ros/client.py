@@ -26,13 +26,14 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from plate_core import PlateError, choose_network
+from plate_core import PlateError, choose_network, node_namespace
 from plate_core.ros import (
     ACTIONS,
     DATA,
     LATCHED,
     REFUSED,
     action_name,
+    diagnostics_topics,
     msg_to_reports,
     msg_to_targets,
     new_goal_id,
@@ -225,7 +226,10 @@ class PlateClient:
         self._refusal, self._refused_at = "", float("-inf")
         self._listeners = (
             node.create_subscription(Targets, "part_targets", self._on_targets, LATCHED),
-            node.create_subscription(DiagnosticArray, "diagnostics", self._on_report, DATA),
+            *(
+                node.create_subscription(DiagnosticArray, topic, self._on_report, DATA)
+                for topic in diagnostics_topics(node)
+            ),
         )
 
     @classmethod
@@ -239,7 +243,13 @@ class PlateClient:
         logged, and the client continues. At the end of the context, the client is closed.
         Methods that are still waiting in other threads then raise a PlateError. In a process that
         was created by `os.fork`, the client is also closed.
+
+        Raises
+        ------
+        PlateError
+            If `namespace` is not a namespace.
         """
+        namespace = node_namespace(namespace)
         choose_network(os.environ)
         context = rclpy.Context()
         rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
@@ -389,7 +399,7 @@ class PlateClient:
     def _on_report(self, msg: DiagnosticArray) -> None:
         for report in msg_to_reports(msg, self.node.get_namespace()):
             refusal = report.values.get("refusal", "")
-            if report.node == "planner" and refusal.startswith("targets: "):
+            if report.own and report.node == "planner" and refusal.startswith("targets: "):
                 self._refusal, self._refused_at = refusal, time.monotonic()
 
     def wait(

@@ -17,7 +17,7 @@ from rclpy.parameter import Parameter, parameter_value_to_python
 from std_srvs.srv import Trigger
 
 from plate_core import PlateError, did_you_mean
-from plate_core.ros import ACTIONS, DATA, LATCHED, Report, msg_to_reports
+from plate_core.ros import ACTIONS, DATA, LATCHED, Report, diagnostics_topics, msg_to_reports
 from plate_core.tasks import Scenario, load_scenario
 from plate_interfaces.msg import DriverStatus, Friction, TaskStatus
 from plate_interfaces.srv import MeasureFriction
@@ -227,7 +227,7 @@ class Graph(Services):
             found = msg_to_reports(msg, self.node.get_namespace())
             reports.update((report.node, report) for report in found)
 
-        for topic in self._diagnostics_topics():
+        for topic in diagnostics_topics(self.node):
             self.node.create_subscription(DiagnosticArray, topic, on_report, DATA)
         if self._until(lambda: bool(self._seen()), DISCOVERY_S):
             self._until(lambda: False, REPORT_S)
@@ -247,16 +247,11 @@ class Graph(Services):
         without diagnostics is starting or does not respond."""
         publishers = {
             publisher.node_name
-            for topic in self._diagnostics_topics()
+            for topic in diagnostics_topics(self.node)
             for publisher in self.node.get_publishers_info_by_topic(topic)
             if publisher.node_namespace == self.node.get_namespace()
         }
         return sorted(publishers & set(self._seen()) - reports.keys())
-
-    def _diagnostics_topics(self) -> set[str]:
-        """Return the topics on which the nodes can publish diagnostics. Several plates can share
-        the topic /diagnostics."""
-        return {self.node.resolve_topic_name("diagnostics"), "/diagnostics"}
 
     def _on_text(self, topic: str) -> Callable[[Any], None]:
         def on_message(msg: Any) -> None:

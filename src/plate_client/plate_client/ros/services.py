@@ -16,7 +16,7 @@ from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import SetBool, Trigger
 
-from plate_core import PlateError, choose_network, ros_domain
+from plate_core import PlateError, choose_network, node_namespace, ros_domain
 
 from ..messages import spin_until
 
@@ -71,11 +71,7 @@ def start_ros(namespace: str) -> None:
     """
     choose_network(os.environ)
     ros_domain(os.environ)
-    if not re.fullmatch(r"/?([A-Za-z_]\w*(/[A-Za-z_]\w*)*)?/?", namespace, re.ASCII):
-        raise PlateError(
-            f"namespace is {namespace!r}, allowed: words of letters, digits and _, with / "
-            "between them"
-        )
+    node_namespace(namespace)
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
 
 
@@ -96,9 +92,8 @@ class Services:
     """
 
     def __init__(self, namespace: str) -> None:
-        self.node = Node(
-            NAME, namespace=namespace, start_parameter_services=False, enable_rosout=False
-        )
+        own = node_namespace(namespace)
+        self.node = Node(NAME, namespace=own, start_parameter_services=False, enable_rosout=False)
 
     def run(self, args: argparse.Namespace) -> str:
         """Execute a command, and return its output.

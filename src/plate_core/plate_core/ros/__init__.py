@@ -28,7 +28,13 @@ from .convert import (
     to_time,
     trajectory_to_msg,
 )
-from .diagnostics import DIAGNOSTICS_PERIOD_S, Diagnostics, Report, msg_to_reports
+from .diagnostics import (
+    DIAGNOSTICS_PERIOD_S,
+    Diagnostics,
+    Report,
+    diagnostics_topics,
+    msg_to_reports,
+)
 from .executor import NodeExecutor
 from .frames import FRAME, add_prefix, camera_to_msg, plate_to_msg
 from .goals import (
@@ -79,6 +85,7 @@ __all__ = [
     "cycle_to_msg",
     "declare",
     "deserialized",
+    "diagnostics_topics",
     "driver_status_to_msg",
     "end_executor",
     "follow",

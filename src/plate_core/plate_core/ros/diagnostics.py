@@ -62,6 +62,12 @@ def msg_to_reports(msg: DiagnosticArray, namespace: str) -> Iterator[Report]:
             yield Report(name, Level(level), status.message, values, own)
 
 
+def diagnostics_topics(node: Node) -> list[str]:
+    """Return the full names of the topics on which the nodes in the namespace of `node` can publish
+    diagnostics. Several plates can share the topic /diagnostics."""
+    return sorted({node.resolve_topic_name("diagnostics"), "/diagnostics"})
+
+
 class Diagnostics:
     """Publisher of the diagnostics of a node, timed by the steady clock. See `plate_core.status`.
 
