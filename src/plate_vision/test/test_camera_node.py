@@ -98,7 +98,11 @@ class Graph:
         self.until(lambda: self.camera.count_subscribers("image_raw"))
 
     def _on_report(self, msg):
-        self.reports.extend(each for each in msg_to_reports(msg) if each.node == "camera")
+        self.reports.extend(
+            each
+            for each in msg_to_reports(msg, self.probe.get_namespace())
+            if each.node == "camera"
+        )
 
     def until(self, condition):
         end = time.monotonic() + MAX_S
