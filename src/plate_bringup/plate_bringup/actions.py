@@ -24,6 +24,7 @@ from launch.actions import (
     OpaqueFunction,
     RegisterEventHandler,
     Shutdown,
+    TimerAction,
 )
 from launch.event_handlers import OnProcessIO
 from launch_ros.actions import Node
@@ -490,11 +491,22 @@ def _record_last_line(last_line: list[str], event: Any) -> None:
 
 
 def _shut_down(name: str, last_line: list[str], event: Any, context: Any) -> list[Any] | None:
-    """Shut down all nodes because a node has ended, and log the reason."""
+    """Shut down all nodes because a node has ended, and log the reason. If the node has failed,
+    `ros2 launch` also fails, so that a test or a service manager notices it."""
     if context.is_shutdown:
         return None
     why = f"{name} ended with exit code {event.returncode}: {last_line[0]}"
+    if event.returncode:
+        # launch reports an exception, shuts down, and returns 1. The timer delays the exception
+        # until all other handlers of this event have been called.
+        fail = OpaqueFunction(function=partial(_raise_failure, why))
+        return [TimerAction(period=0.0, actions=[fail])]
     return [LogInfo(msg=why), Shutdown(reason=why)]
+
+
+def _raise_failure(why: str, context: Any) -> None:
+    if not context.is_shutdown:
+        raise GraphError(why)
 
 
 def _report_end_of_recorder(last_line: list[str], event: Any, context: Any) -> list[Any] | None:

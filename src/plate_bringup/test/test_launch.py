@@ -38,7 +38,7 @@ def stand_in(monkeypatch):
 
     module("launch", ())
     sys.modules["launch"].LaunchDescription = list
-    module("launch.actions", (*ACTIONS, "RegisterEventHandler", "Shutdown"))
+    module("launch.actions", (*ACTIONS, "RegisterEventHandler", "Shutdown", "TimerAction"))
     module("launch.event_handlers", ("OnProcessIO",))
     module("launch_ros", ())
     module("launch_ros.actions", ("Node",))
@@ -461,14 +461,25 @@ def test_few_values_are_choices(stand_in):
     assert {a.args[0]: a.choices for a in described("hardware")[:-1]}["transport"] is None
 
 
+def end_of(node, code, context=None):
+    """The actions after the end of a node with an exit code."""
+    context = context or types.SimpleNamespace(is_shutdown=False)
+    return node.on_exit(types.SimpleNamespace(returncode=code), context)
+
+
 def test_a_node_that_ends_takes_the_others_down_and_its_last_words_are_shown(stand_in, tmp_path):
     nodes, _ = started("closed_loop")
-    ended = types.SimpleNamespace(returncode=2)
     running, over = (types.SimpleNamespace(is_shutdown=flag) for flag in (False, True))
-    reported, shutdown = nodes["solver"].on_exit(ended, running)
-    assert reported.msg == shutdown.reason == "solver ended with exit code 2: "
+    reported, shutdown = end_of(nodes["solver"], 0)
+    assert reported.msg == shutdown.reason == "solver ended with exit code 0: "
     assert shutdown.kind == "Shutdown"
-    assert nodes["solver"].on_exit(ended, over) is None
+    for code in (0, 2):
+        assert end_of(nodes["solver"], code, over) is None
+    (timer,) = end_of(nodes["solver"], 2)
+    (fail,) = timer.actions
+    with pytest.raises(GraphError, match=r"^solver ended with exit code 2: $"):
+        fail.function(running)
+    assert fail.function(over) is None
 
 
 def test_the_last_line_is_that_of_either_stream(stand_in):
@@ -480,8 +491,7 @@ def test_the_last_line_is_that_of_either_stream(stand_in):
     for listen in (each for each in listens if each.target_action is node):
         for stream, text in (("on_stderr", b"one\n"), ("on_stdout", b"two\nthree\n\n")):
             getattr(listen, stream)(types.SimpleNamespace(text=text))
-            running = types.SimpleNamespace(is_shutdown=False)
-            reported, _ = node.on_exit(types.SimpleNamespace(returncode=1), running)
+            reported, _ = end_of(node, 0)
             assert reported.msg.endswith(text.decode().split()[-1])
 
 
@@ -510,6 +520,12 @@ sys.exit(service.run())
 """
 
 
+def launch(*arguments):
+    """Run closed_loop.launch.py until it ends."""
+    command = [sys.executable, "-c", RUN, str(LAUNCH / "closed_loop.launch.py"), *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+
+
 @pytest.mark.needs("launch_ros")
 @pytest.mark.parametrize(
     ("argument", "message"),
@@ -521,11 +537,14 @@ sys.exit(service.run())
     ],
 )
 def test_launch_itself_ends_with_the_reason(argument, message):
-    done = subprocess.run(
-        [sys.executable, "-c", RUN, str(LAUNCH / "closed_loop.launch.py"), argument],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
+    done = launch(argument)
+    assert done.returncode == 1
+    assert message in done.stdout + done.stderr
+
+
+@pytest.mark.needs("launch_ros")
+def test_launch_fails_if_a_node_fails():
+    done = launch("one_process:=true", "rig_file:=none")
+    assert done.returncode == 1
+    message = "one_process ended with exit code 2: error: rig is 'none', allowed:"
     assert message in done.stdout + done.stderr
