@@ -546,5 +546,5 @@ def test_launch_itself_ends_with_the_reason(argument, message):
 def test_launch_fails_if_a_node_fails():
     done = launch("one_process:=true", "rig_file:=none")
     assert done.returncode == 1
-    message = "one_process ended with exit code 2: error: rig is 'none', allowed:"
+    message = "one_process ended with exit code 2: error: simulator: rig is 'none', allowed:"
     assert message in done.stdout + done.stderr
