@@ -28,6 +28,15 @@ if [ -f "$_plate_root/.venv/bin/activate" ] && [ -f "$_plate_root/install/setup.
     # Programs of tools/ and bench/ import modules from their own folder
     unset PYTHONSAFEPATH
 
+    # ROS from wheels contains one middleware
+    if [ -f "$_plate_root/.venv/lib/librmw_fastrtps_cpp.so" ] && [ -n "${RMW_IMPLEMENTATION:-}" ] &&
+        [ ! -f "$_plate_root/.venv/lib/lib$RMW_IMPLEMENTATION.so" ]; then
+        echo "env.sh: RMW_IMPLEMENTATION is '$RMW_IMPLEMENTATION', but the ROS in .venv contains only rmw_fastrtps_cpp." >&2
+        echo "env.sh: run this command, and repeat: unset RMW_IMPLEMENTATION" >&2
+        unset _plate_root _plate_shell _plate_others
+        return 1 2>/dev/null || exit 1
+    fi
+
     # Libraries of this project's Python give warnings, which must not end a program
     case "${PYTHONWARNINGS:-}" in
         error* | *,error*)

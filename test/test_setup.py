@@ -190,6 +190,18 @@ def test_variables_of_python_that_stop_all_programs_are_named(tmp_path, name, va
     assert words in done.stderr
 
 
+def test_a_middleware_that_the_wheels_do_not_contain_is_named():
+    """A ROS that was installed before can contain any middleware."""
+    wheels = (ROOT / ".venv/lib/librmw_fastrtps_cpp.so").exists()
+    for name, code in (("rmw_cyclonedds_cpp", int(wheels)), ("rmw_fastrtps_cpp", 0)):
+        done = subprocess.run(
+            ["bash", "-c", ". ./env.sh"], cwd=ROOT, text=True, capture_output=True,
+            env=os.environ | {"RMW_IMPLEMENTATION": name},
+        )  # fmt: skip
+        assert done.returncode == code
+        assert done.stderr.startswith(f"env.sh: RMW_IMPLEMENTATION is '{name}'") is bool(code)
+
+
 @pytest.mark.parametrize("name", ["setup.sh", "cli.sh"])
 def test_a_folder_for_temporary_files_with_a_space_is_not_used_for_messages(tmp_path, name):
     script = (ROOT / "tools" / name).read_text()
