@@ -71,6 +71,7 @@ def test_diagnostics_report_silence_refusals_and_bad_light(draw, rng):
         ("raw", "image_raw/compressed", ("test/image_raw/compressed exists", "to compressed")),
         ("compressed", "image_raw", ("/detector_test/image_raw exists", "transport to raw")),
         ("raw", "my_camera/image", ("remap image_raw", "images: /detector_test/my_camera/image)")),
+        ("compressed", "my_camera/compressed", ("remap image_raw/compressed and camera_info",)),
         ("raw", "", ("no node publishes this topic or other images",)),
     ],
 )

@@ -40,8 +40,9 @@ def silence_advice(node: Node, topic: str) -> str:
     rest = sorted(name for name in found if name not in same)
     if not found:
         return "no node publishes this topic or other images; check that the camera runs"
+    name = "image_raw" + COMPRESSED * is_compressed
     listed = ", ".join([*same, *rest][:SHOWN])
     return (
-        "no node publishes this topic; check that the camera runs, or remap image_raw and "
+        f"no node publishes this topic; check that the camera runs, or remap {name} and "
         f"camera_info to the camera's topics (topics with images: {listed})"
     )
