@@ -502,24 +502,27 @@ def watch_task(plan: Plan, observer: Observer, began: float) -> None:
     line, record, task = StatusLine(PROGRESS_S), observer.record, plan.scenario.task
     allowed = plan.scenario.time_limit_s * (LOCKSTEP_SLOWER if plan.options.lockstep else 1)
     end = time.monotonic() + allowed + EXTRA_S
-    count, news, seen, moving, shows_hint = 0, time.monotonic(), 0, False, False
+    report_count, reported_at = 0, time.monotonic()  # of the planner
+    moving, seen_tables, shows_hint = False, 0, False
     while not record.ended:
         observer.until(lambda: record.ended, line.PERIOD_S)
         if not moving:
-            moving, seen = any(map(is_moving_table, record.tables[seen:])), len(record.tables)
+            moving = any(map(is_moving_table, record.tables[seen_tables:]))
+            seen_tables = len(record.tables)
             if moving:
                 line.end(f"The plate moves {time.monotonic() - began:.1f} s after the start.")
         now = time.monotonic()
-        if len(record.reports("planner")) > count:
-            count, news = len(record.reports("planner")), now
-        if now - news > HINT_AFTER_S:  # the last message from the planner is too old
-            text = f"no message from the planner for {now - news:.0f} s: {observer.blame()}"
+        if len(record.reports("planner")) > report_count:
+            report_count, reported_at = len(record.reports("planner")), now
+        silence_s = now - reported_at
+        if silence_s > HINT_AFTER_S:
+            text = f"no message from the planner for {silence_s:.0f} s: {observer.blame()}"
             (line.show if shows_hint else line.end)(text)
             shows_hint = True
         else:
             line.show(progress(task, record))
             shows_hint = False
-        if now - news > TIMEOUT_S:
+        if silence_s > TIMEOUT_S:
             raise GraphError(f"no message from the planner for {TIMEOUT_S:g} s")
         if now > end:
             raise GraphError(f"the task has not ended within {allowed + EXTRA_S:g} s")

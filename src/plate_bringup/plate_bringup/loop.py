@@ -502,7 +502,10 @@ def run(
     free = setup.disturbances.image_rate > 0
     shots = scene.shots(line.now)
     shot = next(shots) if free else None
-    held, began, start, image, expected = -1, -np.inf, scene.state, None, None
+    held = -1  # repetitions of the running cycle; -1 until a newly computed cycle has started
+    began, start = -np.inf, scene.state  # start of the running cycle, and the parts at that time
+    image: np.ndarray | None = None
+    expected: Prediction | None = None
     parts = Parts.make((), np.zeros((0, 2)))
     while True:
         world, now, at_work = scene.state, line.now, cpu_time()
@@ -667,8 +670,13 @@ def is_fulfilled(task: Task, rig: Rig, moment: Moment, error: np.ndarray) -> boo
 
 def summary(setup: Setup, rig: Rig, transport: Transport | None = None) -> dict[str, object]:
     """Run the loop until the task has ended. Return the row that `bench/closed_loop.py` prints."""
-    solve_s, step_s, errors, misses, requests = [], [], [], [], []
-    uses, scaled, held, late = [], 0, 0, 0
+    solve_s: list[float] = []
+    step_s: list[float] = []
+    errors: list[np.ndarray] = []
+    misses: list[float] = []
+    requests: list[float] = []
+    uses: list[tuple[float, float, float]] = []
+    scaled = held = late = 0
     task, cycles = setup.recipe.task, hashlib.blake2b(digest_size=8)
     for moment in run(setup, rig, transport):
         cycle = moment.answer.cycle

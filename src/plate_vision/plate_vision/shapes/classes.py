@@ -450,10 +450,11 @@ def _classify_patch(
     outlines for the types' heights. `min_score` are the minimum scores. `fit_square` and
     `size_square` are the variances of the outline and of the size [px2]. `tint` are the distances
     of the colours. `swell` is the growth of all outlines [px]."""
-    best, second, chosen, kept = np.inf, np.inf, -1, np.empty(0)
-    laid, points = catalogue.templates[0], outlines[0].points
+    best_score, second_score = np.inf, np.inf
+    best_type, best_fit = -1, np.empty(0)
+    best_template, best_points = catalogue.templates[0], outlines[0].points
     for j in np.argsort(min_score).tolist():
-        max_score = min(LIMIT**2, best + HOPELESS)
+        max_score = min(LIMIT**2, best_score + HOPELESS)
         if min_score[j] > max_score:
             break
         outline = outlines[j]
@@ -471,37 +472,39 @@ def _classify_patch(
                     outline.hole_fraction, catalogue.templates[j].outline.hole_fraction
                 )
                 holes = hole_fraction / HOLES
-                if hole_check is not None and score < min(LIMIT**2, best):
+                if hole_check is not None and score < min(LIMIT**2, best_score):
                     penalty = hole_check.penalty(catalogue.templates[j], fit)
                     if penalty is not None:
                         holes, weight = min(penalty, holes), FILLED_COLOUR
             score += (weight * tint[j] / COLOUR_LAB) ** 2 + holes**2
-            if score < best:
-                if chosen != j:
-                    second = best
-                best, chosen, kept = score, j, fit
-                laid, points = template, seen.points
-            elif chosen != j:
-                second = min(second, score)
+            if score < best_score:
+                if best_type != j:
+                    second_score = best_score
+                best_score, best_type, best_fit = score, j, fit
+                best_template, best_points = template, seen.points
+            elif best_type != j:
+                second_score = min(second_score, score)
             if score < CLEAN:
                 break
-    if best > LIMIT**2:
+    if best_score > LIMIT**2:
         return
-    over = catalogue.templates[chosen].mirrored
+    over = catalogue.templates[best_type].mirrored
     if over is not None:
-        gain = kept[4] ** 2 - fit_template(over, outlines[chosen], scale)[4] ** 2
-        if scale**2 * gain > OTHER_FACE * fit_square[chosen]:
+        gain = best_fit[4] ** 2 - fit_template(over, outlines[best_type], scale)[4] ** 2
+        if scale**2 * gain > OTHER_FACE * fit_square[best_type]:
             return
     write_type(
         row,
-        catalogue.templates[chosen].part,
-        kept,
-        angle_sd(laid, points, kept, scale),
+        catalogue.templates[best_type].part,
+        best_fit,
+        angle_sd(best_template, best_points, best_fit, scale),
         scale,
     )
-    row["fit_px"], row["swell_px"] = scale * kept[4], scale * kept[3]
-    row["colour"] = tint[chosen]
-    row["confidence"] = (1 - best / LIMIT**2) * (1 - np.exp(-0.5 * (second - best)))
+    row["fit_px"], row["swell_px"] = scale * best_fit[4], scale * best_fit[3]
+    row["colour"] = tint[best_type]
+    row["confidence"] = (1 - best_score / LIMIT**2) * (
+        1 - np.exp(-0.5 * (second_score - best_score))
+    )
 
 
 def _hole_combinations(
