@@ -136,7 +136,7 @@ def laid(turn, decoys, weight):
     for other, much in decoys.items():
         spectrum = spectrum + much * turned(template, other).spectrum
     fit = fit_template(template, replace(outline, spectrum=spectrum), 1e3)
-    return abs(np.angle(np.exp(1j * (fit[2] - 2 * np.pi * turn / TURNS)))), fit[4]
+    return abs(np.angle(np.exp(1j * (fit.pose[2] - 2 * np.pi * turn / TURNS)))), fit.residual
 
 
 @pytest.mark.parametrize("turn", [0, 1, 7, 48, TURNS - 1])
@@ -156,13 +156,13 @@ def test_the_residual_of_a_fit_is_the_mean_of_both_directions():
     wavy = to_home(np.array([0.1, -0.05, 0.7]), np.column_stack([x, y + 3e-4 * np.sin(900 * x)]))
     fit = fit_template(template, make_outline([wavy]), 1e3)
     samples, outward = np.split(template.samples, 2, axis=1)
-    moved = to_home(fit[:3], samples + fit[3] * outward)
+    moved = to_home(fit.pose, samples + fit.swell * outward)
     there = shapely.distance(shapely.LinearRing(wavy), shapely.points(moved))
-    own, back = shapely.Polygon(TYPES["bracket"].polygon), shapely.points(to_plate(fit[:3], wavy))
+    own, back = shapely.Polygon(TYPES["bracket"].polygon), shapely.points(to_plate(fit.pose, wavy))
     away = shapely.distance(own.exterior, back) * np.where(shapely.contains(own, back), -1, 1)
-    square = np.mean([np.mean(there**2), np.mean((away - fit[3]) ** 2)])
-    assert fit[4] == pytest.approx(np.sqrt(square), rel=1e-6)
-    assert fit[4] > 1e-4
+    square = np.mean([np.mean(there**2), np.mean((away - fit.swell) ** 2)])
+    assert fit.residual == pytest.approx(np.sqrt(square), rel=1e-6)
+    assert fit.residual > 1e-4
 
 
 def test_without_colours_outlines_do(draw_types, catalogue):
@@ -272,9 +272,9 @@ def test_a_fit_finds_pose_and_swelling():
     ])  # fmt: skip
     turn = np.array([[np.cos(0.3), np.sin(0.3)], [-np.sin(0.3), np.cos(0.3)]])
     fit = fit_pose(edges, wide @ turn + (5, 6), np.array([5.3, 5.8, 0.5]), 0.5, True, 10)
-    assert fit[:3] == pytest.approx([5, 6, 0.3], abs=0.01)
-    assert fit[3] == pytest.approx(0.1, abs=0.01)
-    assert fit[4] < 0.02
+    assert fit.pose == pytest.approx([5, 6, 0.3], abs=0.01)
+    assert fit.swell == pytest.approx(0.1, abs=0.01)
+    assert fit.residual < 0.02
 
 
 def test_parts_that_touch_are_taken_apart_by_their_types(draw_types):

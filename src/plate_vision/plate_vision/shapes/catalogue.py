@@ -16,7 +16,7 @@ import numpy as np
 from plate_core.rig import PartType
 
 from .. import _kernels
-from .outlines import HARMONICS, Outline, distances, make_outline
+from .outlines import HARMONICS, Outline, PoseFit, distances, make_outline
 
 GRID = 13
 """Number of points along each side of the bounding box at which a type is sampled."""
@@ -116,7 +116,7 @@ class Template:
         flip = np.array([-1.0, 1.0])
         outline = make_outline([flip * ring for ring in self.outline.rings])
         fit = fit_template(self, outline, 100 / outline.reach)
-        if np.hypot(fit[3], fit[4]) < CHIRAL * outline.reach:
+        if np.hypot(fit.swell, fit.residual) < CHIRAL * outline.reach:
             return None
         edges = make_outline([flip * ring for ring in _corner_rings(self.part)]).edges
         return Template(self.part, edges, outline)
@@ -204,10 +204,10 @@ def make_catalogue(types: Mapping[str, PartType]) -> Catalogue:
 
 def fit_template(
     template: Template, outline: Outline, scale: float, hopeless: float = np.inf
-) -> np.ndarray:
-    """Fit a type to an outline, starting from each likely angle. Return the best fit (5,) in the
-    form of `fit_pose`. The residual of the fit is the root mean square of two distances: from the
-    outline to the type, and from the type to the outline."""
+) -> PoseFit:
+    """Fit a type to an outline, starting from each likely angle. Return the best fit. Its residual
+    is the root mean square of two distances: from the outline to the type, and from the type to the
+    outline."""
     fit: np.ndarray = _kernels.lay_on(
         template.edges,
         template.samples,
@@ -220,7 +220,7 @@ def fit_template(
         1 / scale,
         hopeless,
     )
-    return fit
+    return PoseFit.of(fit)
 
 
 def _subdivide_ring(ring: np.ndarray, length: float) -> np.ndarray:

@@ -28,7 +28,7 @@ from .background import Background
 from .catalogue import Catalogue, Template, fit_template
 from .heights import apparent_shift, footprint, magnification
 from .holes import HoleCheck
-from .outlines import POINTS, THREE, Outline, make_outline, patch_rings
+from .outlines import POINTS, THREE, Outline, PoseFit, make_outline, patch_rings
 from .patch import Patch
 from .shadows import MIN_PX, Lamp
 
@@ -451,7 +451,7 @@ def _classify_patch(
     `size_square` are the variances of the outline and of the size [px2]. `tint` are the distances
     of the colours. `swell` is the growth of all outlines [px]."""
     best_score, second_score = np.inf, np.inf
-    best_type, best_fit = -1, np.empty(0)
+    best_type, best_fit = -1, PoseFit(np.empty(0), np.inf, np.inf)
     best_template, best_points = catalogue.templates[0], outlines[0].points
     for j in np.argsort(min_score).tolist():
         max_score = min(LIMIT**2, best_score + HOPELESS)
@@ -463,8 +463,8 @@ def _classify_patch(
         ):
             hopeless = ASTRAY * np.sqrt(max_score * fit_square[j]) / scale
             fit = fit_template(template, seen, scale, hopeless)
-            score = (scale * fit[4]) ** 2 / fit_square[j] + (
-                scale * fit[3] - swell
+            score = (scale * fit.residual) ** 2 / fit_square[j] + (
+                scale * fit.swell - swell
             ) ** 2 / size_square[j]
             weight = 1.0
             if holes is None:
@@ -473,7 +473,7 @@ def _classify_patch(
                 )
                 holes = hole_fraction / HOLES
                 if hole_check is not None and score < min(LIMIT**2, best_score):
-                    penalty = hole_check.penalty(catalogue.templates[j], fit)
+                    penalty = hole_check.penalty(catalogue.templates[j], fit.pose)
                     if penalty is not None:
                         holes, weight = min(penalty, holes), FILLED_COLOUR
             score += (weight * tint[j] / COLOUR_LAB) ** 2 + holes**2
@@ -490,17 +490,17 @@ def _classify_patch(
         return
     over = catalogue.templates[best_type].mirrored
     if over is not None:
-        gain = best_fit[4] ** 2 - fit_template(over, outlines[best_type], scale)[4] ** 2
+        gain = best_fit.residual**2 - fit_template(over, outlines[best_type], scale).residual ** 2
         if scale**2 * gain > OTHER_FACE * fit_square[best_type]:
             return
     write_type(
         row,
         catalogue.templates[best_type].part,
-        best_fit,
+        best_fit.pose,
         angle_sd(best_template, best_points, best_fit, scale),
         scale,
     )
-    row["fit_px"], row["swell_px"] = scale * best_fit[4], scale * best_fit[3]
+    row["fit_px"], row["swell_px"] = scale * best_fit.residual, scale * best_fit.swell
     row["colour"] = tint[best_type]
     row["confidence"] = (1 - best_score / LIMIT**2) * (
         1 - np.exp(-0.5 * (second_score - best_score))
@@ -590,18 +590,18 @@ def _measure_lamp(
 
 
 def write_type(
-    row: np.void, part: PartType, fit: np.ndarray, deviation: float, scale: float
+    row: np.void, part: PartType, pose: np.ndarray, deviation: float, scale: float
 ) -> None:
-    """Write a type to the record `row` () DETECTED_OBJECT. `fit` (3,) is the part's x, y [m] and
+    """Write a type to the record `row` () DETECTED_OBJECT. `pose` (3,) is the part's x, y [m] and
     angle [rad], and `deviation` is the standard deviation of the angle [rad]."""
     row["label"] = part.name
-    row["x"], row["y"] = fit[:2]
-    row["angle"], row["angle_sd"] = wrap_angle(fit[2], part.symmetry), deviation
+    row["x"], row["y"] = pose[:2]
+    row["angle"], row["angle_sd"] = wrap_angle(pose[2], part.symmetry), deviation
     row["radius_px"] = np.sqrt(part.area_m2 / np.pi) * scale
 
 
 def angle_sd(
-    template: Template, points: np.ndarray, fit: np.ndarray, scale: float, gate: float = np.inf
+    template: Template, points: np.ndarray, fit: PoseFit, scale: float, gate: float = np.inf
 ) -> float:
     """Return the standard deviation [rad] of the angle of a type that is fitted to points (n, 2).
     The result is at most the standard deviation of an unknown angle.
@@ -615,7 +615,8 @@ def angle_sd(
     max_sd = period / np.sqrt(12)
     if template.part.symmetry == 0:
         return float(max_sd)
-    sd = _kernels.turn_scatter(template.edges, points, fit, template.lever2, 1 / scale, gate)
+    pose = np.append(fit.pose, fit.swell)
+    sd = _kernels.turn_scatter(template.edges, points, pose, template.lever2, 1 / scale, gate)
     return float(min(sd, max_sd))
 
 

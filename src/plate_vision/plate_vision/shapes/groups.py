@@ -43,7 +43,7 @@ from .classes import (
 )
 from .grouping import Work
 from .heights import apparent_shift
-from .outlines import Outline, fit_pose
+from .outlines import Outline, PoseFit, fit_pose
 from .patch import Patch
 from .shadows import Lamp
 
@@ -191,7 +191,7 @@ class View:
             STEPS,
             gate=2 * NEAR_PX / self.scale,
         )
-        return fit[:3]
+        return fit.pose
 
 
 def explain_groups(
@@ -325,9 +325,9 @@ def _explain_group(
         return np.empty(0, DETECTED_OBJECT)
     parts = np.zeros(len(found), DETECTED_OBJECT)
     for row, part in zip(parts, found, strict=True):
-        fit, gate = np.append(part.pose, (0, 0)), 2 * NEAR_PX / scale
+        fit, gate = PoseFit(part.pose, 0.0, 0.0), 2 * NEAR_PX / scale
         deviation = angle_sd(part.template, view.outline.points, fit, scale, gate)
-        write_type(row, part.template.part, fit, deviation, scale)
+        write_type(row, part.template.part, part.pose, deviation, scale)
         row["confidence"], row["colour"], row["whole"] = part.seen, part.tint, union.whole
     parts["x_px"], parts["y_px"] = calibration.to_image(_positions(parts)).T
     return np.concatenate([parts, recognise(image, rest, catalogue, calibration)])

@@ -52,14 +52,14 @@ class HoleCheck:
         """Median of the maximum deviations of plate pixels [L]."""
         return float(np.median(self.background.limit[::SPARSE, ::SPARSE]))
 
-    def penalty(self, template: Template, fit: np.ndarray) -> float | None:
+    def penalty(self, template: Template, pose: np.ndarray) -> float | None:
         """Return the penalty for a type with holes that is fitted to a patch without these holes.
-        `fit` (3,) is the pose x, y [m], angle [rad]. Return None if the image in the holes does not
+        `pose` (3,) is x, y [m], angle [rad]. Return None if the image in the holes does not
         look like the plate, or if the type has no holes."""
         if not template.part.holes:
             return None
-        holes, plate = self._sample_colours(to_home(fit[:3], template.hole_points), 0.0)
-        body, _ = self._sample_colours(to_home(fit[:3], template.inner), template.part.height_m)
+        holes, plate = self._sample_colours(to_home(pose, template.hole_points), 0.0)
+        body, _ = self._sample_colours(to_home(pose, template.inner), template.part.height_m)
         if not len(holes) or not len(body):
             return None
         inside_hole, bare, part = (np.median(colours, axis=0) for colours in (holes, plate, body))

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -151,6 +152,30 @@ def distances(edges: np.ndarray, points: np.ndarray) -> np.ndarray:
     return found
 
 
+class PoseFit(NamedTuple):
+    """Fit of a polygon to points.
+
+    Attributes
+    ----------
+    pose : (3,)
+        Pose of the polygon: x, y [m], angle [rad].
+    swell : float
+        Growth of the outline, which is the mean signed distance of the points from the polygon,
+        positive outside [m].
+    residual : float
+        Root mean square residual [m].
+    """
+
+    pose: np.ndarray
+    swell: float
+    residual: float
+
+    @classmethod
+    def of(cls, fit: np.ndarray) -> PoseFit:
+        """Convert the result (5,) of a kernel."""
+        return cls(fit[:3], fit[3], fit[4])
+
+
 def fit_pose(
     edges: np.ndarray,
     points: np.ndarray,
@@ -159,7 +184,7 @@ def fit_pose(
     fit_angle: bool,
     steps: int,
     gate: float = np.inf,
-) -> np.ndarray:
+) -> PoseFit:
     """Fit a polygon to points by Gauss-Newton steps. The polygon's outline may grow or shrink
     evenly.
 
@@ -180,12 +205,5 @@ def fit_pose(
     gate : float
         Distance above which points are ignored [m]. If the gate is finite, the outline does not
         grow or shrink.
-
-    Returns
-    -------
-    (5,)
-        x, y [m], angle [rad], growth of the outline [m], root mean square residual [m]. The growth
-        is the mean signed distance of the points from the polygon, positive outside.
     """
-    fit: np.ndarray = _kernels.fit_pose(edges, points, pose, unit, fit_angle, steps, np.inf, gate)
-    return fit
+    return PoseFit.of(_kernels.fit_pose(edges, points, pose, unit, fit_angle, steps, np.inf, gate))

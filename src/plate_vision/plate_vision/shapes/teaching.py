@@ -343,7 +343,7 @@ def type_differences(a: PartType, b: PartType, scale: float) -> tuple[float, flo
     gap = 0.0
     if a.colour_lab is not None and b.colour_lab is not None:
         gap = float(colour_distance(np.array(a.colour_lab), np.array(b.colour_lab), True))
-    return scale * float(fit[4]), scale * float(fit[3]), gap
+    return scale * float(fit.residual), scale * float(fit.swell), gap
 
 
 def merge_types(a: PartType, b: PartType) -> PartType:
@@ -510,8 +510,8 @@ def _select_agreeing(
             continue
         fit = fit_template(template, shown_example.outline, scale)
         for property_name, error, fraction in (
-            ("outline", fit[4], DIFFER),
-            ("size", fit[3], DIFFER_SIZE),
+            ("outline", fit.residual, DIFFER),
+            ("size", fit.swell, DIFFER_SIZE),
         ):
             max_error = max(fraction * middle.reach, DIFFER_PX / scale)
             if abs(error) > max_error:
@@ -544,10 +544,10 @@ def _mean_outline(
     deviation = unlike = 0.0
     for _ in range(2 if len(outlines) > 1 else 0):
         fits = [fit_template(_as_template(mean), outline, scale) for outline in outlines]
-        deviation = math.sqrt(float(np.mean([fit[3] ** 2 + fit[4] ** 2 for fit in fits])))
-        unlike = math.sqrt(float(np.mean([fit[4] ** 2 for fit in fits])))
+        deviation = math.sqrt(float(np.mean([fit.swell**2 + fit.residual**2 for fit in fits])))
+        unlike = math.sqrt(float(np.mean([fit.residual**2 for fit in fits])))
         laid = [
-            _transform_outline(outline, fit[:3])
+            _transform_outline(outline, fit.pose)
             for outline, fit in zip(outlines, fits, strict=True)
         ]
         mean = _average_outlines(mean, laid)
@@ -557,7 +557,7 @@ def _mean_outline(
         mean = _average_outlines(
             mean, [_transform_outline(mean, np.array([0, 0, angle])) for angle in angles]
         )
-    pose = fit_template(_as_template(mean), outlines[0], scale)[:3]
+    pose = fit_template(_as_template(mean), outlines[0], scale).pose
     # Rotate the mean outline so that it has the angle of the first outline.
     mean = _transform_outline(mean, np.array([0, 0, -pose[2]]))
     return mean, np.array([pose[0], pose[1], 0.0]), deviation, unlike
