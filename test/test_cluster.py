@@ -117,7 +117,8 @@ def _shared(tmp_path_factory, place):
     alike = dict(one.split("=", 1) for one in said.decode().rstrip("\0").split("\0"))
     alike["PYTHONPATH"] = os.pathsep.join([str(place), os.environ.get("PYTHONPATH", "")])
     with started(tmp_path_factory.mktemp("shared")) as processes:
-        processes.workers = [processes.worker("--nthreads", "2") for _ in range(2)]
+        path = {"PYTHONPATH": alike["PYTHONPATH"]}
+        processes.workers = [processes.worker("--nthreads", "2", **path) for _ in range(2)]
         processes.alike = processes.worker("--nthreads", "2", **alike)
         yield processes
 
@@ -284,9 +285,21 @@ def test_the_runs_of_a_killed_command_end_on_the_workers(shared, pool, tmp_path)
     assert processes_of(pool) == {worker.pid for worker in shared.workers}
 
 
-def test_an_error_of_a_run_is_raised_here(pool):
-    with pytest.raises(ZeroDivisionError):
-        pool.submit(eval, "1 / 0").result(WAIT_S)
+@pytest.mark.parametrize(
+    ("run", "error", "words"),
+    [
+        ("1 / 0", ZeroDivisionError, "division"),
+        ("__import__('threading').Lock()", TypeError, "pickle"),
+        ("__import__('only_there').Odd()", PlateError, "cannot be read here: ModuleNotFoundError"),
+        ("__import__('sys').exit(3)", PlateError, "a run has raised SystemExit: 3"),
+    ],
+)
+def test_an_error_of_a_run_is_raised_here(pool, place, run, error, words):
+    """Also if only the worker can read its result. The worker continues."""
+    (place / "only_there.py").write_text("class Odd:\n    pass\n", encoding="utf-8")
+    with pytest.raises(error, match=words):
+        pool.submit(eval, run).result(WAIT_S)
+    assert numbers(submitted(pool, 2, 0)) == [0, 1]
 
 
 @pytest.mark.parametrize(

@@ -114,8 +114,9 @@ class Cluster(Executor):
         """Submit a run, as `concurrent.futures.Executor` describes. A run that has begun can also
         be canceled."""
         result: Future[Any] = Future()
-        # The run is sent as bytes. If the run were sent as objects, the scheduler would decode the
-        # arguments, but it cannot import the modules of `bench`.
+        # Run and result are sent as bytes. If they were sent as objects, the scheduler would decode
+        # the arguments, but it cannot import the modules of `bench`. If a result could not be
+        # encoded or decoded, Dask would report no error.
         from distributed.protocol.pickle import dumps
 
         self._calls[result] = (_run_on_worker, dumps((fn, args, kwargs)))
@@ -156,10 +157,17 @@ class Cluster(Executor):
         problem = sent.exception()
         if type(problem).__name__ == "KilledWorker":
             problem = PlateError(f"several workers died while they ran the same job: {problem}")
+        value = None
+        if problem is None:
+            try:
+                value = pickle.loads(sent.result())
+            except Exception as unread:
+                text = _error_text(unread)
+                problem = PlateError(f"the result of a run cannot be read here: {text}")
         # If the caller has canceled the run in the meantime, an InvalidStateError is raised.
         with suppress(InvalidStateError):
             if problem is None:
-                result.set_result(sent.result())
+                result.set_result(value)
             else:
                 result.set_exception(problem)
 
@@ -353,10 +361,12 @@ class _Stopped(BaseException):
     """Exception that ends a run on a worker."""
 
 
-def _run_on_worker(call: bytes) -> Any:
-    """Run a function on a worker. If Dask cancels the run, raise a `_Stopped` in it. Dask cancels a
-    run if the process that has submitted it cancels it, ends, or loses its connection."""
+def _run_on_worker(call: bytes) -> bytes:
+    """Run a function on a worker, and return its result as bytes. If Dask cancels the run, raise a
+    `_Stopped` in it. Dask cancels a run if the process that has submitted it cancels it, ends, or
+    loses its connection."""
     from distributed import get_worker
+    from distributed.protocol.pickle import dumps
 
     worker, thread = get_worker(), threading.get_ident()
     key, ended, lock = worker.get_current_task(), threading.Event(), threading.Lock()
@@ -377,7 +387,9 @@ def _run_on_worker(call: bytes) -> Any:
     threading.Thread(target=watch, daemon=True).start()
     try:
         function, args, kwargs = pickle.loads(call)
-        return function(*args, **kwargs)
+        return dumps(function(*args, **kwargs))
+    except (SystemExit, KeyboardInterrupt) as problem:  # Dask would end the worker
+        raise PlateError(f"a run has raised {_error_text(problem)}") from problem
     finally:
         with lock:
             # Python raises the exception of `watch` after this call at the latest. It is not raised
