@@ -10,7 +10,8 @@ import subprocess
 import sys
 import threading
 import time
-from concurrent.futures import as_completed, wait
+from concurrent.futures import ThreadPoolExecutor, as_completed, wait
+from importlib.metadata import version
 from itertools import islice
 from pathlib import Path
 
@@ -382,6 +383,28 @@ def test_facts_differ_by_name():
     assert differences(here, here | {"numpy": "1.0"}) == [
         f"numpy is '1.0', allowed: {here['numpy']!r}"
     ]
+
+
+def test_two_clusters_check_a_worker_one_after_the_other(monkeypatch):
+    """Python's parser fails sometimes in two threads."""
+    inside, together = [], []
+
+    def slow_facts(name):
+        inside.append(name)
+        together.append(len(inside))
+        time.sleep(0.02)
+        inside.remove(name)
+        return {}
+
+    monkeypatch.setattr(cluster, "facts", slow_facts)
+    with ThreadPoolExecutor(4) as threads:
+        list(threads.map(cluster._facts_alone, range(4)))
+    assert together == [1] * 4
+
+
+@pytest.mark.needs("gymnasium")
+def test_the_libraries_of_further_packages_are_facts():
+    assert facts(modules=("plate_gym",))["gymnasium"] == version("gymnasium")
 
 
 def both_rows(words, address, folder, env, rows_of, times):

@@ -66,7 +66,8 @@ class Cluster(Executor):
         True, each worker must have a clone with the same code. The path of the clone can differ,
         unless arguments contain absolute paths.
     modules : sequence of str
-        Further packages of the project. Each worker must have the same code of these packages.
+        Further packages of the project. Each worker must have the same code of these packages, and
+        the same versions of the libraries that they import.
     agent : str
         Name of a module that is not part of the project, such as a user's agent. Each worker must
         have the same files of this module, and the same versions of the libraries that it imports.
@@ -397,6 +398,18 @@ def _run_on_worker(call: bytes) -> bytes:
             ended.set()
 
 
+_FACTS = threading.Lock()
+"""Held while the facts of this worker are computed, because two clusters can check it at the same
+time. In some versions of CPython, `ast.parse` can fail if two threads call it (cpython issue
+106905)."""
+
+
+def _facts_alone(*terms: Any) -> dict[str, str]:
+    """Call `facts`, in one thread at a time."""
+    with _FACTS:
+        return facts(*terms)
+
+
 async def _compare_and_admit(
     key: str,
     expected: dict[str, str],
@@ -408,7 +421,7 @@ async def _compare_and_admit(
     differences."""
     if terms[0]:
         _make_bench_importable()
-    found = differences(expected, await asyncio.to_thread(facts, *terms))
+    found = differences(expected, await asyncio.to_thread(_facts_alone, *terms))
     if not found and key not in dask_worker.state.total_resources:
         try:
             await dask_worker.set_resources(**{key: 1})

@@ -72,11 +72,13 @@ def facts(bench: bool = False, modules: tuple[str, ...] = (), agent: str = "") -
     """Return facts about this process that determine the results of a seed.
 
     The facts are those of `machine`, and digests of the code of the packages. If `bench` is true,
-    they include a digest of `bench` and `tools` of the clone. If `agent` is given, they include the
-    files and libraries of this module.
+    they include a digest of `bench` and `tools` of the clone. For each of `modules`, they include
+    the code and the versions of its libraries. If `agent` is given, they include the files and
+    libraries of this module.
     """
     found = machine() | {"code of the packages": code_of_packages()}
-    found |= {f"code of {name}": code_of(name) for name in modules}
+    for name in modules:
+        found |= {f"code of {name}": code_of(name)} | libraries_of(name)
     if agent:
         found |= {f"file {name}": mark for name, mark in files_of(agent).items()}
         found |= libraries_of(agent)
