@@ -103,6 +103,7 @@ def test_the_reason_of_a_wait_for_a_service_is_shown(observer, monkeypatch):
 def test_a_driver_that_has_stopped_is_not_waited_for(observer, monkeypatch):
     """It becomes ready only after another call of enable."""
     monkeypatch.setattr("graph.observer.READY_S", 600.0)
+    monkeypatch.setattr("graph.observer.STOPPED_S", 0.5)
     Driver(observer, STOPPED)
     with pytest.raises(GraphError, match="has stopped the motors before the task: red"):
         observer.await_ready()

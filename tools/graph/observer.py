@@ -72,7 +72,7 @@ second."""
 READY_S = 15.0
 """Maximum wait until the driver is ready [s]. Homing of the device can take 5 s."""
 
-STOPPED_S = 1.0
+STOPPED_S = 3.0
 """Time in the state STOPPED after which the driver does not become ready without a call [s]. After
 a call, the state can arrive later than the reply."""
 
