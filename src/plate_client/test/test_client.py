@@ -162,7 +162,7 @@ def test_a_goal_that_is_refused_at_once_has_ended(silent):
 
 
 def program(text):
-    """Execute a program, and return its exit code and its errors. Python 3.12 and later warn of
+    """Execute a program, and return its exit code and its errors. Newer versions of Python warn of
     each fork of a process with threads."""
     lines = "import os, signal, threading, time\nfrom plate_client import PlateClient\n" + text
     quiet = "ignore:This process:DeprecationWarning"

@@ -35,7 +35,7 @@ from .provenance import commit, files, module_of, sources, terms, versions
 from .result import ROW, TIMES, line, printable, ranges, read, shortened, summary, validate
 from .tasks import TASKS, WORLDS, chosen
 
-__all__ = ["Limits", "check", "evaluate", "seed_range"]
+__all__ = ["Limits", "check", "evaluate", "main", "seed_range"]
 
 SHOWN = 5
 """Maximum number of differences that the error message lists if an earlier result cannot be
