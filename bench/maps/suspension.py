@@ -37,10 +37,8 @@ def make_motions(rig: Rig, method: str, parts: int, count: int = REQUESTS) -> li
     period = solver.steering_period(parts)
     zero, cycles = np.zeros((parts, 2)), []
     for _ in range(count):
-        position, requested = (
-            random_positions(rig, parts, rng),
-            DRIFT * period * rng.normal(size=(parts, 2)),
-        )
+        position = random_positions(rig, parts, rng)
+        requested = DRIFT * period * rng.normal(size=(parts, 2))
         solver.reset()
         goal = Goal(position, zero, requested, zero, np.full(parts, rig.friction.accel))
         cycles.append(solver.steer(goal, 2e-4 * period, 0.05 * DRIFT * period).cycle)

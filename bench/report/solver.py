@@ -41,18 +41,18 @@ def solver(rows: list[Row]) -> Drawn:
             Axis("maximum force error [mu mg]", log=True, minimum=MIN_ERROR), "less less",
         )  # fmt: skip
         for method, style in styles.items():
-            mine = groups[count, method]
-            panel.points(mine, "ms", "error", style, in_front=False)
-            typical = {key: float(np.median(column(mine, key))) for key in ("ms", "error")}
+            group = groups[count, method]
+            panel.points(group, "ms", "error", style, in_front=False)
+            typical = {key: float(np.median(column(group, key))) for key in ("ms", "error")}
             median = Style(f"{style.name}, median", style.colour, "D")
             panel.points([typical], "ms", "error", median)
         panel.mark(typical["ms"], typical["error"])
         panel.rule("required", y=MAX_ERROR)
 
     def solved_text(count: int, method: str) -> str:
-        mine = groups[count, method]
-        met = 100 * np.mean([error <= MAX_ERROR for error in column(mine, "error")])
-        return f"{met:.0f} % in {shown(float(np.median(column(mine, 'ms'))))} ms"
+        group = groups[count, method]
+        met = 100 * np.mean([error <= MAX_ERROR for error in column(group, "error")])
+        return f"{met:.0f} % in {shown(float(np.median(column(group, 'ms'))))} ms"
 
     text = " ".join(
         f"Of the requests with {parts(n)}, Method B solves {solved_text(n, 'SinusoidSolver')}, and "
@@ -81,16 +81,18 @@ def options(rows: list[Row]) -> Drawn:
             Axis("drift error in the simulator, RMS [%]", log=True), "less less",
         )  # fmt: skip
         for (method, option), style in styles.items():
-            mine = [r for r in these if r["method"] == method and option in r["option"]]
-            panel.points(mine, "median_ms", "missed_percent", style, note="{option}")
+            option_rows = [r for r in these if r["method"] == method and option in r["option"]]
+            panel.points(option_rows, "median_ms", "missed_percent", style, note="{option}")
         for r in these:
             if r["default"] and r["method"] == "B":
                 panel.mark(r["median_ms"], r["missed_percent"])
 
     def error_text(count: int, method: str, option: str) -> str:
         key = (count, method, option)
-        mine = [r for r in rows if (r["parts"], r["method"], r["option"]) == key]
-        return " / ".join(f"{r['missed_percent']:.0f} % in {r['median_ms']:.0f} ms" for r in mine)
+        option_rows = [r for r in rows if (r["parts"], r["method"], r["option"]) == key]
+        return " / ".join(
+            f"{r['missed_percent']:.0f} % in {r['median_ms']:.0f} ms" for r in option_rows
+        )
 
     counts = sorted(group_rows(rows, "parts"))
     text = " ".join(

@@ -36,10 +36,8 @@ def texts_of(stability_map: StabilityMap) -> dict[str, str]:
 
 def chart_of(rows: list[Row], stability_map: StabilityMap) -> Drawn:
     """Return the chart of one map."""
-    panels, grids = (
-        Panels(),
-        [Grid.of(panel_rows) for panel_rows in group_rows(rows, "panel").values()],
-    )
+    panels = Panels()
+    grids = [Grid.of(panel_rows) for panel_rows in group_rows(rows, "panel").values()]
     for grid in grids:
         add_panel(panels, stability_map, grid)
     return Drawn(panels, f"{stability_map.finding} {border_sentence(stability_map, grids)}")
@@ -47,10 +45,8 @@ def chart_of(rows: list[Row], stability_map: StabilityMap) -> Drawn:
 
 def add_panel(panels: Panels, stability_map: StabilityMap, grid: Grid) -> None:
     """Add a panel for one grid, with the measured and the predicted border."""
-    x, y = (
-        axis(stability_map, "x", stability_map.x_label, grid.x),
-        axis(stability_map, "y", stability_map.y_label, grid.y),
-    )
+    x = axis(stability_map, "x", stability_map.x_label, grid.x)
+    y = axis(stability_map, "y", stability_map.y_label, grid.y)
     panel = panels.add(grid.title, x, y)
     panel.heat(
         grid.x,

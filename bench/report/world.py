@@ -158,10 +158,8 @@ def range_text(rows: list[Row], key: str) -> str:
 
 def vision(rows: list[Row]) -> Drawn:
     """Return the chart of error against time for finding discs, with a panel for each scene."""
-    colours, methods = (
-        (PROJECT, BASELINE, SECOND, THIRD, "#8a6d00", LIMIT),
-        list(group_rows(rows, "method")),
-    )
+    colours = (PROJECT, BASELINE, SECOND, THIRD, "#8a6d00", LIMIT)
+    methods = list(group_rows(rows, "method"))
     styles = {
         name: Style(name, *style) for name, *style in zip(methods, colours, "osD^vx", strict=False)
     }

@@ -344,10 +344,8 @@ def table_cells(result: dict[str, Any]) -> list[dict[str, str]]:
             f"{name} {level} {seconds:.1f} s" for name, level, seconds, _ in row["diagnostics"]
         )
         rest = "no" if row["rest_s"] is None else f"{row['rest_s']:.1f} s"
-        task, driver = (
-            delay_text(row["task"], row["task_s"]),
-            delay_text(row["driver"], row["driver_s"]),
-        )
+        task = delay_text(row["task"], row["task_s"])
+        driver = delay_text(row["driver"], row["driver_s"])
         some = row["fault"], row["node"], task, driver, changes, rest, ", ".join(row["to_go_on"])
         rows.append(dict(zip(HEADS, some, strict=True)))
     return rows

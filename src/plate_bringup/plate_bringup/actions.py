@@ -359,13 +359,13 @@ def find_values(parameters: Sequence[Any], space: str, names: Sequence[str], key
         Name of the parameter. Empty values are ignored.
     """
     paths, found = [f"/{space}/{name}".replace("//", "/") for name in names], []
-    for each in parameters:
-        if isinstance(each, tuple):
-            found += [str(each[1])] if each[0] == key else []
+    for file in parameters:
+        if isinstance(file, tuple):
+            found += [str(file[1])] if file[0] == key else []
             continue
         found += [
             str(values[key])
-            for section, values in _read_sections(str(each))
+            for section, values in _read_sections(str(file))
             if values.get(key)
             and any(re.fullmatch(_section_pattern(section), path) for path in paths)
         ]
@@ -441,10 +441,10 @@ def _set_parameter_files(defaults: Sequence[str], context: Any) -> None:
     priority, and can be for other nodes.
     """
     outer = [
-        _write_temporary_file(yaml.safe_dump({"/**": {"ros__parameters": dict([each])}}))
-        if isinstance(each, tuple)
-        else each
-        for each in context.launch_configurations.get("global_params", [])
+        _write_temporary_file(yaml.safe_dump({"/**": {"ros__parameters": dict([item])}}))
+        if isinstance(item, tuple)
+        else item
+        for item in context.launch_configurations.get("global_params", [])
     ]
     context.launch_configurations["global_params"] = [*defaults, *outer]
 

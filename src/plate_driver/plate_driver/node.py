@@ -395,10 +395,8 @@ class DriverNode(SafeLifecycleNode[Options]):
         path = self.options.calibration_file
         try:
             self._calibration.start(self.transports.current, self.status, path)
-            response.success, response.message = (
-                True,
-                "the calibration has started; see driver_status and diagnostics",
-            )
+            response.success = True
+            response.message = "the calibration has started; see driver_status and diagnostics"
         except PlateError as error:
             response.success, response.message = False, str(error)
         return response

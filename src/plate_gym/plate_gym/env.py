@@ -176,17 +176,19 @@ class PlateVectorEnv(VectorEnv):
             )
         seeds: list[int | None] = [None] * count
         if isinstance(seed, Sequence | np.ndarray) and getattr(seed, "ndim", True):
-            seeds = [None if own is None else checked_seed(own) for own in seed]
+            seeds = [
+                None if plate_seed is None else checked_seed(plate_seed) for plate_seed in seed
+            ]
         elif seed is not None:
             seeds = [checked_seed(seed) + k for k in range(count)]
         if len(seeds) != count:
             raise PlateError(f"seed has {len(seeds)} numbers, allowed: {count} (one per plate)")
         rows, worlds = np.flatnonzero(mask).tolist(), []
         for k in rows:
-            own = seeds[k]
-            if own is not None:
-                self._rngs[k] = seeding.np_random(own)[0]
-            worlds.append(drawn(self._rngs[k]) if own is None else own)
+            plate_seed = seeds[k]
+            if plate_seed is not None:
+                self._rngs[k] = seeding.np_random(plate_seed)[0]
+            worlds.append(drawn(self._rngs[k]) if plate_seed is None else plate_seed)
         check_begun([self.plates.plates[k] for k in np.flatnonzero(~mask)])
         self._ended[mask] = False
         info = self._for_all_plates(self.plates.reset(rows, worlds), mask)

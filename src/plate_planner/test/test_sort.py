@@ -24,9 +24,9 @@ def fractions(*points: tuple[float, float]) -> np.ndarray:
     return np.array(points) * HALF
 
 
-def asked(ids, points, task=TASK, hand=1.0, rig=RIG):
+def asked(ids, points, task=TASK, swirl=1.0, rig=RIG):
     """Return the request for parts at fractions of the half sides."""
-    return Sorter(task, rig).request(Parts.make(ids, fractions(*points)), hand)
+    return Sorter(task, rig).request(Parts.make(ids, fractions(*points)), swirl)
 
 
 def test_parts_are_to_come_a_little_beyond_their_lines():
@@ -47,9 +47,9 @@ def test_the_part_with_the_longest_way_has_the_same_weight_times_way_whatever_it
 
 def test_far_parts_keep_to_their_lane_and_near_ones_do_not():
     ids, points = ("grey_1", "black_1", "grey_2"), [(-0.5, 0.0), (0.5, 0.0), (0.7, 0.0)]
-    for hand in (1.0, -1.0):
-        to = asked(ids, points, hand=hand)
-        upper, lower = (0, 1) if hand > 0 else (1, 0)
+    for swirl in (1.0, -1.0):
+        to = asked(ids, points, swirl=swirl)
+        upper, lower = (0, 1) if swirl > 0 else (1, 0)
         assert to.low[upper, 1] == pytest.approx(LANE_AT * HALF[1])
         assert to.high[lower, 1] == pytest.approx(-LANE_AT * HALF[1])
         assert np.all(to.weight[:2, 1] > 0)
@@ -68,15 +68,15 @@ def test_parts_for_opposite_corners_go_in_lanes_and_then_on_to_their_corners(up)
     sorter = Sorter(replace(TASK, regions=corners), RIG)
     ids, points = ("grey_1", "black_1", "grey_2"), [(-0.5, -0.9), (0.5, -0.9), (0.62, 0.0)]
     parts = Parts.make(ids, fractions(*points))
-    hand = sorter.hand(None, parts)
-    assert hand == sorter.hand(-hand, parts) == up
-    to = sorter.request(parts, hand)
+    swirl = sorter.swirl(None, parts)
+    assert swirl == sorter.swirl(-swirl, parts) == up
+    to = sorter.request(parts, swirl)
     inner = np.array([LANE_AT, -LANE_AT, LINE[1] / HALF[1]]) * up * HALF[1]
     nearer = np.where(inner > 0, to.low[:, 1], to.high[:, 1])
     assert nearer == pytest.approx(inner)
     assert to.weight[2, 1] == pytest.approx(to.weight[2, 0])
     beside = {"black": Side(-1, up), "grey": Side(1, up)}  # one swirl does not lead to both
-    to = asked(ids, points, replace(TASK, regions=beside), sorter.hand(None, parts))
+    to = asked(ids, points, replace(TASK, regions=beside), sorter.swirl(None, parts))
     assert np.where(up > 0, to.low[:, 1], to.high[:, 1]) == pytest.approx(up * LINE[1])
 
 
@@ -84,12 +84,12 @@ def test_the_hand_of_the_swirl_is_the_nearer_one_and_changes_only_for_a_reason()
     def parts(*heights):
         return Parts.make(("grey_1", "black_1"), fractions((-0.5, heights[0]), (0.5, heights[1])))
 
-    assert SORTER.hand(None, parts(0.5, -0.5)) == 1.0
-    assert SORTER.hand(None, parts(-0.5, 0.5)) == -1.0
-    assert SORTER.hand(1.0, parts(-0.1, 0.1)) == 1.0
-    assert SORTER.hand(1.0, parts(-0.5, 0.5)) == -1.0
-    assert SORTER.hand(-1.0, parts(0.5, 0.5)) == -1.0
-    assert SORTER.hand(1.0, Parts.make((), np.zeros((0, 2)))) == 1.0
+    assert SORTER.swirl(None, parts(0.5, -0.5)) == 1.0
+    assert SORTER.swirl(None, parts(-0.5, 0.5)) == -1.0
+    assert SORTER.swirl(1.0, parts(-0.1, 0.1)) == 1.0
+    assert SORTER.swirl(1.0, parts(-0.5, 0.5)) == -1.0
+    assert SORTER.swirl(-1.0, parts(0.5, 0.5)) == -1.0
+    assert SORTER.swirl(1.0, Parts.make((), np.zeros((0, 2)))) == 1.0
 
 
 def test_the_mirror_image_gets_the_mirrored_request():

@@ -105,8 +105,8 @@ class PageNode(SafeLifecycleNode[Options]):
         """Start serving the page."""
         if self.options.bag:
             kinds = {name.removeprefix("/"): topic.kind for name, topic in TOPICS.items()}
-            own = self.get_namespace()
-            self._replay = Replay(self.options.bag, kinds, self._forward_message, own)
+            own_namespace = self.get_namespace()
+            self._replay = Replay(self.options.bag, kinds, self._forward_message, own_namespace)
         port = self.options.port
         self._server = PageServer(
             self._access, port, self._make_hello(), self._queue_command, self._request_adaptation

@@ -455,10 +455,10 @@ def _find_discs_by_contrast(
     if shadow is not None:
         parts = silhouettes(seeds)
     discs = _fit_seeds(contrast, seeds, parts, known, shadow)
-    there = (discs["darkness"] >= scene.limit) & ~_is_overlapped(discs, parts)
+    is_dark = (discs["darkness"] >= scene.limit) & ~_is_overlapped(discs, parts)
     # repeat the fit without the rejected discs, because they affect the fit of their neighbours
-    if not np.all(there):
-        seeds, parts = seeds[there], parts[there]
+    if not np.all(is_dark):
+        seeds, parts = seeds[is_dark], parts[is_dark]
         discs = _fit_seeds(contrast, seeds, parts, known, shadow)
         discs["misfit"][discs["darkness"] < scene.limit] = np.inf
     marks = find_marks(scene.plate, seeds, parts)

@@ -70,10 +70,8 @@ def find_remains(
     x0, y0 = region.box[:2]
     stride = max(1, int(min_radius_px / COARSE_RADIUS_PX))
     shapes = silhouette_rows(parts)
-    coarse, counts = (
-        (x0, y0, COARSE_STEP * stride),
-        _inner_pixels(region, COARSE_STEP * stride, min_radius_px),
-    )
+    coarse = (x0, y0, COARSE_STEP * stride)
+    counts = _inner_pixels(region, COARSE_STEP * stride, min_radius_px)
     if counts.size == 0:
         return None
     lit = channels.image, channels.lights

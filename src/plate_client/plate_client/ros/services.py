@@ -92,8 +92,10 @@ class Services:
     """
 
     def __init__(self, namespace: str) -> None:
-        own = node_namespace(namespace)
-        self.node = Node(NAME, namespace=own, start_parameter_services=False, enable_rosout=False)
+        own_namespace = node_namespace(namespace)
+        self.node = Node(
+            NAME, namespace=own_namespace, start_parameter_services=False, enable_rosout=False
+        )
 
     def run(self, args: argparse.Namespace) -> str:
         """Execute a command, and return its output.

@@ -289,10 +289,8 @@ class Lens:
             powers = (2 * np.arange(5) + 1) * np.array([1, *self._all_coefficients[:4]])
             return float(np.tan(min(np.sqrt(_smallest_positive_root(powers)), STEEPEST_RAD)))
         k1, k2, _, _, k3, k4, k5, k6 = self._all_coefficients[:8]
-        up, down = (
-            np.polynomial.Polynomial([1, k1, k2, k3]),
-            np.polynomial.Polynomial([1, k4, k5, k6]),
-        )
+        up = np.polynomial.Polynomial([1, k1, k2, k3])
+        down = np.polynomial.Polynomial([1, k4, k5, k6])
         twice = np.polynomial.Polynomial([0, 2])
         # derivative of r up / down with respect to r, times down^2
         growth = up * down + twice * (up.deriv() * down - up * down.deriv())

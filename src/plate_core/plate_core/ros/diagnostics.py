@@ -55,11 +55,11 @@ def msg_to_reports(msg: DiagnosticArray, namespace: str) -> Iterator[Report]:
     for status in msg.status:
         level = int.from_bytes(status.level, "little")
         space, _, node = status.name.rpartition("/")
-        own = status.name.startswith("/")
-        if level in set(Level) and (not own or f"{space}/" == f"{namespace.rstrip('/')}/"):
+        is_absolute = status.name.startswith("/")
+        if level in set(Level) and (not is_absolute or f"{space}/" == f"{namespace.rstrip('/')}/"):
             values = {item.key: item.value for item in status.values}
-            name = node if own else status.name
-            yield Report(name, Level(level), status.message, values, own)
+            name = node if is_absolute else status.name
+            yield Report(name, Level(level), status.message, values, is_absolute)
 
 
 def diagnostics_topics(node: Node) -> list[str]:

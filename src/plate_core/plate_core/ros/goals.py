@@ -155,17 +155,17 @@ def _read_follow(goal: Any) -> dict[str, Any]:
 
 
 def _read_path(path: Path) -> dict[str, Any]:
-    at, speed = list(path.profile_fractions), list(path.profile_speeds)
-    if len(at) != len(speed):
+    fractions, speed = list(path.profile_fractions), list(path.profile_speeds)
+    if len(fractions) != len(speed):
         raise ScenarioError(
-            f"follow_paths: {len(at)} profile_fractions and {len(speed)} profile_speeds, "
+            f"follow_paths: {len(fractions)} profile_fractions and {len(speed)} profile_speeds, "
             "allowed: equal numbers"
         )
     return {
         "class": path.type,
         "waypoints_m": [[point.x, point.y] for point in path.waypoints],
         "closed": path.closed,
-        "speed_mps": [list(pair) for pair in zip(at, speed, strict=True)] or path.speed,
+        "speed_mps": [list(pair) for pair in zip(fractions, speed, strict=True)] or path.speed,
         **({"laps": path.laps} if path.closed else {}),
     }
 

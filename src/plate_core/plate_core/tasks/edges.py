@@ -85,10 +85,8 @@ def edge_warnings(scenario: Scenario, rig: Rig) -> tuple[str, ...]:
     edge is reported."""
     warnings: dict[tuple[str, str], tuple[float, str]] = {}
     for key, label, point in goal_places(scenario):
-        wall, to_edge_m = (
-            rig.edge_margin(label).wall_m,
-            float(np.min(rig.plate.half - np.abs(point))),
-        )
+        wall = rig.edge_margin(label).wall_m
+        to_edge_m = float(np.min(rig.plate.half - np.abs(point)))
         if to_edge_m >= min(wall - ROUNDING_M, warnings.get((key, label), (np.inf,))[0]):
             continue
         text = (

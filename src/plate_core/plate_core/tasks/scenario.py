@@ -311,8 +311,8 @@ def _read_pose(fields: Fields, parts: tuple[PartGroup, ...]) -> PoseTask:
     poses = []
     for child in fields.children("poses"):
         label = child.value(keys.class_key(*labels))
-        at = child.value(keys.POSES["place_m"])
-        place = None if at is None else _to_pairs(at[None])[0]
+        values = child.value(keys.POSES["place_m"])
+        place = None if values is None else _to_pairs(values[None])[0]
         angle = child.value(keys.POSES["angle_deg"])
         poses.append(Pose(label, place, float(np.radians(angle))))
         child.finish()
@@ -506,8 +506,8 @@ def _check_regions(scenario: Scenario, task: SortTask, half: np.ndarray) -> None
     for pair in combinations(task.regions, 2):
         if all(isinstance(task.regions[label], Bin) for label in pair):
             continue
-        one, other = (Polygon(region_outline(task, label, half)) for label in pair)
-        shared = one.intersection(other).area
+        first, second = (Polygon(region_outline(task, label, half)) for label in pair)
+        shared = first.intersection(second).area
         if shared > SHARED_M2:
             text = " and ".join(f"{k} is {_region_text(task, k, half)}" for k in pair)
             raise ScenarioError(

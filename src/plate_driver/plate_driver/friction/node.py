@@ -152,10 +152,8 @@ class FrictionServer:
             self._running, self._since = True, self._clocks.playback_s()
             self._started = self._after_ns = self._driver.get_clock().now().nanoseconds
             self._publish_status(Friction.RUNNING, "waiting for images of parts at rest", 0.0)
-            response.success, response.message = (
-                True,
-                "started; the topic friction reports progress and result",
-            )
+            response.success = True
+            response.message = "started; the topic friction reports progress and result"
             response.started = to_time(self._started)
         return response
 

@@ -130,11 +130,9 @@ class SetpointStream:
     def _next_stream(self) -> SetpointStream | None:
         """Return the stream at the start of the next cycle or tail. None if the stream ends at
         rest."""
-        tail, begin, newest = (
-            self.playing.tail,
-            self.begin + self.knots[-1].ticks,
-            self.newest.cycle,
-        )
+        tail = self.playing.tail
+        begin = self.begin + self.knots[-1].ticks
+        newest = self.newest.cycle
         fits = newest.starts_at_rest if tail is None else newest.follows(self.playing.cycle)
         if self.left and fits:
             table, left = self.newest, self.left - 1

@@ -199,7 +199,9 @@ class Feeder(TaskRules):
         }
         if now.kept:  # ready parts that are missing are not lost, because the robot takes them
             taken = memory.report.ready.ids
-            place = {name: at for name, at in memory.place.items() if name not in taken}
+            place = {
+                name: part_place for name, part_place in memory.place.items() if name not in taken
+            }
         ready, ordered = len(report.ready), sum(pick.ready for pick in self._picks)
         left = sum(report.seen.values())
         doing = f"{ready} of {ordered} parts ready, {left} on the plate"
@@ -412,13 +414,13 @@ class Aims:
     @classmethod
     def none(cls, parts: Parts, rig: Rig) -> Aims:
         """Return targets that only keep the parts on the plate."""
-        at, count = parts.position, len(parts)
+        position, count = parts.position, len(parts)
         anywhere = np.tile(rig.plate.half, (count, 1))
         reach = np.array([rig.part_type(part_class(name)).reach_m for name in parts.ids])
         zero, no = np.zeros(count), np.zeros(count, dtype=bool)
         return cls(
-            at, -anywhere, anywhere, zero, no, parts.angle, zero.copy(), zero.copy(), no.copy(),
-            no.copy(), reach,
+            position, -anywhere, anywhere, zero, no, parts.angle, zero.copy(), zero.copy(),
+            no.copy(), no.copy(), reach,
         )  # fmt: skip
 
     @property

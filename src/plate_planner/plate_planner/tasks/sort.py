@@ -121,9 +121,9 @@ class Sorter(TaskRules):
         to_go = self.to_go(now.parts)
         count, total = int(np.sum(to_go == 0)), int(np.sum(~np.isnan(to_go)))
         distance = np.nan_to_num(to_go)
-        hand = self.hand(memory, now.parts)
-        return hand, Assessment(
-            request=self.request(now.parts, hand),
+        swirl = self.swirl(memory, now.parts)
+        return swirl, Assessment(
+            request=self.request(now.parts, swirl),
             goal_met=count == total,
             count=count,
             total=total,
@@ -151,7 +151,7 @@ class Sorter(TaskRules):
             result[..., rows] = shapely.distance(region, shapely.points(position[..., rows, :]))
         return result
 
-    def hand(self, before: float | None, parts: Parts) -> float:
+    def swirl(self, before: float | None, parts: Parts) -> float:
         """Return the direction of the swirl. The direction is 1 if parts that move to the right
         pass above parts that move to the left, and -1 if they pass below. If the regions are
         opposite corners, these corners determine the direction. Otherwise, the direction changes
@@ -167,8 +167,8 @@ class Sorter(TaskRules):
             return 1.0 if above >= 0 else -1.0
         return before
 
-    def request(self, parts: Parts, hand: float) -> Targets:
-        """Return the targets of M parts for the request to the solver. `hand` is the direction of
+    def request(self, parts: Parts, swirl: float) -> Targets:
+        """Return the targets of M parts for the request to the solver. `swirl` is the direction of
         the swirl."""
         sign, half = self._signs(parts.ids), self.rig.plate.half
         line = (self.task.goal_fraction + MARGIN) * half
@@ -197,7 +197,7 @@ class Sorter(TaskRules):
             lane[:] = 0  # no lanes are needed if all parts move in one direction
         # If the weight of the motion along y is higher, it replaces the weight of the lane.
         lane[lane <= np.where(sign[:, 1] != 0, weight[:, 1], 0)] = 0
-        upper = hand * sign[:, 0] > 0
+        upper = swirl * sign[:, 0] > 0
         middle = LANE_AT * half[1]
         low[:, 1] = np.where((lane > 0) & upper, middle, low[:, 1])
         high[:, 1] = np.where((lane > 0) & ~upper, -middle, high[:, 1])

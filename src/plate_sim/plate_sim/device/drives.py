@@ -185,10 +185,8 @@ class SimulatedDrives:
         return self._heartbeats()
 
     def _motor_state_after_tick(self) -> np.ndarray:
-        before, self._time_since_sync_s = (
-            self._time_since_sync_s,
-            min(self._time_since_sync_s + TICK_S, CYCLE_S),
-        )
+        before = self._time_since_sync_s
+        self._time_since_sync_s = min(self._time_since_sync_s + TICK_S, CYCLE_S)
         speed = (self._to - self._from) / CYCLE_S
         slope = speed * (self._time_since_sync_s - before) / TICK_S
         return self._follow_setpoint(self._from + speed * self._time_since_sync_s, slope, BANDWIDTH)

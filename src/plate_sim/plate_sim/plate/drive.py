@@ -230,10 +230,8 @@ class Command:
         """Return the commanded pose (3,) and twist (3,), and the feedforward forces (4,). The time
         is `offset` [s] after the start of the piece `piece`."""
         row, offsets = slice(piece, piece + 1), np.array([offset])
-        pose, force = (
-            shift_derivatives(self.pose[row], offsets)[0],
-            shift_derivatives(self.force[row], offsets)[0],
-        )
+        pose = shift_derivatives(self.pose[row], offsets)[0]
+        force = shift_derivatives(self.force[row], offsets)[0]
         return pose[0], pose[1], force[0]
 
 

@@ -122,10 +122,8 @@ def _goal_of_targets(
     rotations = None
     if start.spin is not None and targets.angles is not None:
         _check_targets(ids, "target angle", targets.angles)
-        angle, spread = (
-            request.parts.angle,
-            contact_spread(types, request.parts.angle + start.rotation),
-        )
+        angle = request.parts.angle
+        spread = contact_spread(types, request.parts.angle + start.rotation)
         low = targets.angles.low - angle - start.rotation
         high = targets.angles.high - angle - start.rotation
         rotations = PartRotations(start.spin, spread, low, high, targets.angles.weight)

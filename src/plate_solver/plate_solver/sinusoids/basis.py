@@ -327,11 +327,9 @@ class SinusoidFamily:
         """Return the largest utilisation of any rig limit by the samples (1: at the limit). The
         motion from the initial state `plate` to rest is not included."""
         coefficients, basis = self.coefficients(parameters), self.basis
-        pose, twist, accel = (
-            basis.pose @ coefficients,
-            basis.twist @ coefficients,
-            basis.accel @ coefficients,
-        )
+        pose = basis.pose @ coefficients
+        twist = basis.twist @ coefficients
+        accel = basis.accel @ coefficients
         return limit_use(pose, twist, accel, EQUAL_WEIGHT, self._limits, True)
 
     def admissible(self, parameters: np.ndarray) -> np.ndarray:

@@ -232,12 +232,12 @@ class Listener:
     def _show_targets(self, msg: Targets) -> None:
         targets = [
             {
-                "id": each.id,
-                "x": finite_or_none(each.x),
-                "y": finite_or_none(each.y),
-                "angle": finite_or_none(each.angle),
+                "id": target.id,
+                "x": finite_or_none(target.x),
+                "y": finite_or_none(target.y),
+                "angle": finite_or_none(target.angle),
             }
-            for each in msg.targets
+            for target in msg.targets
         ]
         self._publish({"kind": "targets", "targets": targets})
 

@@ -117,20 +117,22 @@ class Replay:
             `namespace`.
         """
         found: dict[str, dict[str, list[Any]]] = {}  # connections by last name and namespace
-        for each in self._reader.connections:
-            space, _, key = str(each.topic).rpartition("/")
+        for connection in self._reader.connections:
+            space, _, key = str(connection.topic).rpartition("/")
             if (
-                each.msgcount
+                connection.msgcount
                 and key in self._kinds
-                and each.msgtype == _type_name(self._kinds[key])
+                and connection.msgtype == _type_name(self._kinds[key])
             ):
-                found.setdefault(key, {}).setdefault(space or "/", []).append(each)
+                found.setdefault(key, {}).setdefault(space or "/", []).append(connection)
         if not found:
             raise PlateError(
                 f"bag is {folder!r}, allowed: a bag with topics of {', '.join(self._kinds)}"
             )
-        own = (key for key in found if _type_name(self._kinds[key]).startswith("plate_interfaces/"))
-        plates = {space for key in own for space in found[key]}
+        own_topics = (
+            key for key in found if _type_name(self._kinds[key]).startswith("plate_interfaces/")
+        )
+        plates = {space for key in own_topics for space in found[key]}
         if len(plates) == 1:
             (namespace,) = plates
         elif plates and namespace not in plates:
@@ -140,7 +142,7 @@ class Replay:
             )
         chosen = []
         for spaces in found.values():
-            others = [each for space, each in spaces.items() if space not in plates]
+            others = [connection for space, connection in spaces.items() if space not in plates]
             chosen += spaces.get(namespace) or (others[0] if len(others) == 1 else [])
         return namespace, chosen
 

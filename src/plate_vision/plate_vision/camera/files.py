@@ -217,8 +217,8 @@ class Pictures:
             file = self._files[number]
             self.place += 1
             return file.name, self._read_picture(file)
-        there, pixels = self._film.read()
-        if not there:
+        is_read, pixels = self._film.read()
+        if not is_read:
             self._end_film()
         self.place += 1
         return f"{self._path.name}: {number}", np.asarray(pixels)

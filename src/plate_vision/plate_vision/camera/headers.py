@@ -120,7 +120,9 @@ def name_of_format(content: bytes) -> str:
     header = read_header(content)
     if header is not None:
         return header.kind
-    found = (name for at, mark, name in OTHER_KINDS if content[at : at + len(mark)] == mark)
+    found = (
+        name for offset, mark, name in OTHER_KINDS if content[offset : offset + len(mark)] == mark
+    )
     return next(found, "")
 
 

@@ -48,8 +48,8 @@ def make_source(settings: Settings, warn: Warn) -> Source:
         return PipeSource(settings, warn)
     if kind_of(name) == "a device":
         return V4l2Source(settings, warn)
-    there = "no such device or file" if name else "no device is given"
-    raise CameraError(f"{name or 'device'}: {there}, allowed: {ALLOWED}")
+    missing = "no such device or file" if name else "no device is given"
+    raise CameraError(f"{name or 'device'}: {missing}, allowed: {ALLOWED}")
 
 
 def check_device(device: str) -> None:

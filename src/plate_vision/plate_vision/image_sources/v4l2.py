@@ -264,11 +264,11 @@ class V4l2Source(Camera):
                 "several cameras may share one USB controller"
             )
         arrival = self._clock()
-        there, data = self._capture.retrieve()
+        is_read, data = self._capture.retrieve()
         stamp = 1e-3 * self._capture.get(cv2.CAP_PROP_POS_MSEC)
         if not self._stamps_known:
             self._identify_stamp_source(arrival - stamp)
-        if not there:
+        if not is_read:
             raise CameraError(f"{self.path}: the camera delivers no images; it may be unplugged")
         if self._at_start is not None and not 0 <= arrival - stamp < OLDEST_S:
             raise ImageError(

@@ -22,11 +22,11 @@ def silence_advice(node: Node, topic: str) -> str:
     this topic, the text names existing topics with images."""
     if node.count_publishers(topic):
         return "check that the camera runs"
-    own = node.resolve_topic_name(OWN)
+    own_topic = node.resolve_topic_name(OWN)
     found = {
         name: KINDS[kinds[0]]
         for name, kinds in node.get_topic_names_and_types()
-        if kinds[0] in KINDS and name != own and node.count_publishers(name)
+        if kinds[0] in KINDS and name != own_topic and node.count_publishers(name)
     }
     is_compressed = topic.endswith(COMPRESSED)
     other = topic.removesuffix(COMPRESSED) if is_compressed else topic + COMPRESSED
