@@ -297,6 +297,7 @@ def test_cycles_reach_the_board_and_telemetry_the_graph(bench):
     bench.send()  # nothing moves unasked
     bench.wait(1.0)
     assert (board.count(Enable), board.count(Commit), board.setpoints) == (0, 0, 0)
+    lost = board.lost
     bench.send_until(lambda: any(any(s.position) for s in bench.states))
     bench.send_until(lambda: any(np.max(np.abs(s.effort)) > 1.0 for s in bench.states))  # m/s2
     stamps = [nanoseconds(s.header.stamp) for s in bench.states]
@@ -310,7 +311,8 @@ def test_cycles_reach_the_board_and_telemetry_the_graph(bench):
     moved = np.array([msg_to_cycle(s).knot_pose.any() for s in bench.starts])
     assert np.all(np.diff(begins) > 0)
     assert not moved[0]
-    if board.count(Enable) == 1:  # a stop on a busy computer shifts the starts
+    # On a busy computer, a stop shifts the starts, and so does a board whose clock stalls.
+    if board.count(Enable) == 1 and board.lost == lost:
         steps = np.diff(begins[moved]) * 1e-9 / PERIOD
         assert np.all(np.abs(steps - np.round(steps)) < 0.1), steps
     assert nanoseconds(bench.setpoints[-1].header.stamp) <= bench.stamp
