@@ -248,6 +248,14 @@ def test_workers_without_a_module_are_refused(shared, messages, tmp_path, monkey
     assert sum("file only_here.py is None" in line for line in messages) == 3
 
 
+def test_a_worker_that_does_not_answer_is_reported(shared, messages, monkeypatch):
+    """It joins before it is compared, such as a frozen one."""
+    monkeypatch.setattr(cluster, "FIRST_S", 0.2)
+    monkeypatch.setattr(Cluster, "_check_worker", lambda pool, name: None)
+    with Cluster(shared.address, modules=("json",), report=messages.append):
+        assert messages == ["waiting for workers; their comparison takes more than 0.2 s"]
+
+
 def test_a_worker_without_the_packages_is_refused(shared, pool, messages):
     worker = shared.worker(PYTHONPATH="")
     until(lambda: any("No module named 'plate_bringup'" in line for line in messages))
@@ -284,6 +292,16 @@ def test_the_runs_of_a_killed_command_end_on_the_workers(shared, pool, tmp_path)
         until(lambda: all(file.exists() for file in files))
         process.kill()
     assert processes_of(pool) == {worker.pid for worker in shared.workers}
+
+
+def test_no_run_is_lost_with_a_connection_that_is_cut(pool):
+    """The runs on the workers end, and the command sends all unfinished runs again."""
+    runs = submitted(pool, 12)
+    next(as_completed(runs, WAIT_S))
+    pool._client.run_on_scheduler(
+        lambda dask_scheduler: [one.comm.abort() for one in dask_scheduler.client_comms.values()]
+    )
+    assert numbers(runs) == list(range(12))
 
 
 @pytest.mark.parametrize(

@@ -224,6 +224,7 @@ class Cluster(Executor):
             if self._waits:
                 raise PlateError(f"cluster {self._address}: all {count} workers are refused")
             self._ending.wait(POLL_S)
+        self._report(f"waiting for workers; their comparison takes more than {FIRST_S:g} s")
 
     def _check_new_workers(self) -> tuple[int, int]:
         """Start the check of each new worker. If all workers are refused or there is no worker,
