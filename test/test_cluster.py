@@ -170,7 +170,7 @@ def test_no_run_is_lost_with_killed_workers(processes, tmp_path):
     run = "(open({file!r}, 'a').write('{k} '), " + PROCESS + ")[1]"
     file = str(tmp_path / "begun")
     with Cluster(processes.address) as pool:
-        runs = [pool.submit(eval, run.format(file=file, s=0.2, k=k)) for k in range(20)]
+        runs = [pool.submit(eval, run.format(file=file, s=0.1, k=k)) for k in range(20)]
         for first in islice(as_completed(runs, WAIT_S), 6):
             killed = first.result()[1]
         here = [k for k, run in enumerate(runs) if run.done()]
@@ -222,14 +222,14 @@ def test_waiting_runs_reach_a_worker_whose_admission_fails_first_and_then_is_slo
 def test_no_run_is_lost_with_a_scheduler_that_restarts(processes):
     worker = processes.worker()
     with Cluster(processes.address) as pool:
-        runs = submitted(pool, 20)
+        runs = submitted(pool, 8)
         next(as_completed(runs, WAIT_S))
         processes.processes[0].kill()
         processes.processes[0].wait(WAIT_S)
         worker.kill()
         processes.scheduler()
         processes.worker()
-        assert numbers(runs) == list(range(20))
+        assert numbers(runs) == list(range(8))
 
 
 def test_a_worker_with_other_results_is_refused_by_name(shared, pool, messages):
