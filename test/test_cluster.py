@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor, as_completed, wait
+from importlib import import_module
 from importlib.metadata import version
 from itertools import islice
 from pathlib import Path
@@ -19,6 +20,7 @@ import pytest
 import yaml
 from short_task import short_task
 
+from harness import pool as pool_module
 from plate_bringup import cluster
 from plate_bringup.cluster import Cluster
 from plate_bringup.identity import differences, facts
@@ -374,6 +376,26 @@ def test_a_refused_command_leaves_no_file_and_no_other_one(
     assert main() == 2
     assert "ConnectionRefusedError" in capsys.readouterr().err
     assert [file.read_text() for file in tmp_path.iterdir()] == [older] * (older is not None)
+
+
+@pytest.mark.parametrize("program", ["closed_loop", "run", "plate_gym.bench"])
+def test_an_interrupt_while_the_command_waits_ends_it(program, tmp_path, monkeypatch, capsys):
+    if program == "plate_gym.bench":
+        pytest.importorskip("gymnasium")
+
+    def interrupt(*words, **options):
+        raise KeyboardInterrupt
+
+    module = import_module(program)
+    monkeypatch.setattr(pool_module if program == "run" else module, "Cluster", interrupt)
+    path = tmp_path / "rows.json"
+    words = ["--out", str(tmp_path)] if program == "run" else ["--json", str(path)]
+    monkeypatch.setattr(sys, "argv", [program, "--cluster", "tcp://127.0.0.1:1", *words])
+    assert module.main() == 130
+    message = capsys.readouterr().err
+    assert message.startswith("stopped")
+    assert str(path) not in message
+    assert not list(tmp_path.iterdir())
 
 
 def test_the_address_of_a_worker_is_refused(shared):
