@@ -10,6 +10,7 @@ import subprocess
 import threading
 import time
 import tty
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -513,3 +514,26 @@ def test_the_port_is_for_one_driver(bench):
     second.wait(30)
     assert bench.board.count(Hello) == hellos
     bench.moving()  # again, where a busy machine has let the line fall silent meanwhile
+
+
+def test_an_interrupt_of_all_processes_is_not_reported_as_a_failure_of_the_device(tmp_path):
+    """As with Ctrl-C in a terminal with a launch file. The simulated device outlives the driver."""
+    port = str(tmp_path / "port")
+    words = [str(executable("plate_sim", "device")), "--ros-args", "-r", f"__ns:={NAMESPACE}"]
+    module = "plate_sim.device.node"
+    device = Fork.start([*words, "-p", f"link:={port}"], os.environ, tmp_path / "log", [module])
+    bench = Bench(SimpleNamespace(port=port), tmp_path / "driver.log")
+    try:
+        bench.start()
+        bench.tells(OFF)
+        assert bench.enable().success
+        bench.tells("ready")
+        device.send_signal(signal.SIGINT)
+        bench.wait(0.2)  # the driver continues
+        assert UNANSWERED not in bench.end(signal.SIGINT)
+        device.wait(30)
+        assert not os.path.lexists(port)
+    finally:
+        bench.close()
+        device.send_signal(signal.SIGKILL)
+        device.wait(30)

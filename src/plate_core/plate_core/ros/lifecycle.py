@@ -66,9 +66,10 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
     """A lifecycle node that always calls `rest` before it stops being active.
 
     A subclass creates its objects in `configure`, by the methods `managed_...` or by `keep`. A
-    subclass implements `begin`, `rest`, `release` and `retune` if necessary. Managed objects work
-    only while the node is active and are destroyed at clean-up. `run_node` calls `start_nodes`,
-    which configures and activates the node unless its parameter `autostart` is false.
+    subclass implements `begin`, `before_end`, `rest`, `release` and `retune` if necessary. Managed
+    objects work only while the node is active and are destroyed at clean-up. `run_node` calls
+    `start_nodes`, which configures and activates the node unless its parameter `autostart` is
+    false.
 
     Parameters
     ----------
@@ -104,6 +105,10 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
 
     def begin(self) -> None:
         """Prepare for work. `active` becomes True immediately afterwards."""
+
+    def before_end(self) -> None:
+        """Complete the work that must be done before the process ends. This method is called only
+        while the node is active."""
 
     def rest(self) -> None:
         """Stop all motion."""

@@ -135,6 +135,7 @@ def _run_nodes(
         # results of these goals.
         for node in nodes:
             if isinstance(node, SafeLifecycleNode) and node.active and rclpy.ok():
+                node.before_end()
                 node.trigger_deactivate()
         for _ in range(LAST_ROUNDS if rclpy.ok() else 0):
             executor.spin_once(timeout_sec=0.01)

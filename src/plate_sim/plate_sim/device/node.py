@@ -40,6 +40,10 @@ maximum lag that the device makes up at once [us]. If the lag is longer, the dev
 Without this limit, the device would report a timeout, although the host has sent messages in
 time."""
 
+HOST_SILENT_S, HOST_ENDS_S = 0.3, 2.0
+"""When the process must end, the device first waits until it has received no bytes from the host
+for `HOST_SILENT_S`, at most `HOST_ENDS_S` [s]."""
+
 
 def _fraction_parameter(description: str) -> Any:
     return parameter(0.0, description, 0.0, 1.0, live=True)
@@ -132,8 +136,17 @@ class DeviceNode(SafeLifecycleNode[Options]):
         now_us = self._emulator.now_us
         self._begin_ns = self.get_clock().now().nanoseconds - 1_000 * now_us
         self._steady_ns = time.monotonic_ns() - 1_000 * now_us
-        self._late_ms = self._lost_ms = 0.0
+        self._late_ms = self._lost_ms = self._received_at = 0.0
         self._terminal.read()  # a device without power discards the bytes that it receives
+
+    def before_end(self) -> None:
+        """Continue until the host is silent. If all processes are interrupted together, the driver
+        still makes the device brake, and waits for its reply. A real board also runs longer than
+        its driver."""
+        end = time.monotonic() + HOST_ENDS_S
+        while time.monotonic() < min(end, self._received_at + HOST_SILENT_S):
+            self._on_serve_timer()
+            time.sleep(SERVE_PERIOD_S)
 
     def rest(self) -> None:
         """Switch the device off. The device then loses its state."""
@@ -146,6 +159,8 @@ class DeviceNode(SafeLifecycleNode[Options]):
     def _on_serve_timer(self) -> None:
         """Simulate the device up to the current time, and exchange bytes with the port."""
         emulator, received = self._emulator, self._terminal.read()
+        if received:
+            self._received_at = time.monotonic()
         due = (time.monotonic_ns() - self._steady_ns) // 1_000 - emulator.now_us
         self._late_ms = max(self._late_ms, due * 1e-3 - 1e3 * SERVE_PERIOD_S)
         lost = max(0, due - MAX_BEHIND_US)
