@@ -211,11 +211,12 @@ class Bench:
         assert self.until(lambda: self.status.reason != DriverStatus.STOP_UNANSWERED)
 
     def enable(self, value: bool = True):
-        """A driver that a busy computer held up meanwhile asks to be called again."""
+        """Call enable. A driver that stalled on a busy computer refuses calls for 0.5 s."""
         for _ in range(5):
             answer = self.call(self.enabler, SetBool.Request(data=value))
             if answer.message != LATE:
                 break
+            self.wait(0.5)
         return answer
 
     def change(self, name: str) -> None:
