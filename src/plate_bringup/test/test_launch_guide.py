@@ -91,17 +91,22 @@ sys.exit(service.run())
 """
 
 
-@pytest.mark.needs("launch_ros")
-def test_launch_starts_both_plates_and_the_robot(tmp_path):
-    file = tmp_path / "cell.launch.py"
-    file.write_text(FILE)
+def read_launch(file, *arguments):
+    """Read a launch file by RUN. Return the parameters and remappings of each node."""
     done = subprocess.run(
-        [sys.executable, "-c", RUN, str(file), "port:=/dev/robot", "views:=2", "scenaro:=x"],
+        [sys.executable, "-c", RUN, str(file), *arguments],
         capture_output=True, text=True, timeout=300, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
     lines = [json.loads(line) for line in done.stdout.splitlines() if line.startswith('["')]
-    nodes = {name: (given, remaps) for name, given, remaps in lines}
+    return {name: (given, remaps) for name, given, remaps in lines}
+
+
+@pytest.mark.needs("launch_ros")
+def test_launch_starts_both_plates_and_the_robot(tmp_path):
+    file = tmp_path / "cell.launch.py"
+    file.write_text(FILE)
+    nodes = read_launch(file, "port:=/dev/robot", "views:=2", "scenaro:=x")
     assert nodes.keys() == {
         "/cell/arm",
         *(f"/cell/left/{name}" for name in NAMES | {"page"}),
@@ -129,13 +134,7 @@ def test_its_parameters_reach_the_nodes_by_an_outer_file_too(tmp_path):
     text = FILE.replace(include, outer + include)
     text = text.replace("import Node, ", "import Node, SetParametersFromFile, ")
     file.write_text(text.replace('view="true"', 'seed="7"'))
-    done = subprocess.run(
-        [sys.executable, "-c", RUN, str(file)],
-        capture_output=True, text=True, timeout=300, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stdout + done.stderr
-    lines = [json.loads(line) for line in done.stdout.splitlines() if line.startswith('["')]
-    nodes = {name: given for name, given, _ in lines}
+    nodes = {name: given for name, (given, _) in read_launch(file).items()}
     for side in ("left", "right"):
         assert nodes[f"/cell/{side}/solver"]["method"] == "rotations"
         assert nodes[f"/cell/{side}/planner"]["robot_name"] == "ur5"
@@ -164,13 +163,9 @@ def test_parameters_of_outer_actions_are_no_options_of_the_command_lines(tmp_pat
     include = "            IncludeLaunchDescription("
     text = FILE.replace(include, outer + include)
     file.write_text(text.replace("import Node, ", "import Node, SetParameter, "))
-    done = subprocess.run(
-        [sys.executable, "-c", RUN, str(file)],
-        capture_output=True, text=True, timeout=300, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stdout + done.stderr
-    lines = [json.loads(line) for line in done.stdout.splitlines() if line.startswith('["')]
-    nodes = {name: given for name, given, _ in lines}  # RUN reads the files only
+    nodes = {
+        name: given for name, (given, _) in read_launch(file).items()
+    }  # RUN reads the files only
     assert "method" not in nodes.pop("/cell/arm")
     for given in nodes.values():
         assert (given["method"], given["robot_name"]) == ("rotations", "ur5")

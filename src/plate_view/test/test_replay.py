@@ -56,7 +56,7 @@ def bag(tmp_path):
 
 
 @pytest.fixture
-def heard():
+def received():
     return []
 
 
@@ -94,15 +94,18 @@ def mixed_bag(folder, *topics):
     ],
 )
 def test_of_several_plates_only_one_is_shown(tmp_path, namespace, topics, shown):
-    heard = []
+    received = []
     replay = Replay(
-        mixed_bag(tmp_path / "bag", *topics), MIXED, lambda key, msg: heard.append(msg), namespace
+        mixed_bag(tmp_path / "bag", *topics),
+        MIXED,
+        lambda key, msg: received.append(msg),
+        namespace,
     )
-    heard.clear()
+    received.clear()
     replay.seek(BEGIN_S)
     replay.close()
-    names = {str(getattr(msg, "data", getattr(msg, "text", ""))) for msg in heard} - {""}
-    assert names | {part.id for msg in heard for part in getattr(msg, "parts", ())} == shown
+    names = {str(getattr(msg, "data", getattr(msg, "text", ""))) for msg in received} - {""}
+    assert names | {part.id for msg in received for part in getattr(msg, "parts", ())} == shown
     space = next(name for name in shown if name.endswith("parts")).removesuffix("/parts")
     assert replay.namespace == (space or "/")
 
@@ -116,45 +119,45 @@ def test_a_bag_of_several_plates_needs_a_namespace(tmp_path):
 
 
 @pytest.fixture
-def replay(bag, heard):
-    made = Replay(bag, KINDS, lambda topic, msg: heard.append((topic, msg)))
+def replay(bag, received):
+    made = Replay(bag, KINDS, lambda topic, msg: received.append((topic, msg)))
     yield made
     made.close()
 
 
-def test_a_jump_shows_what_was_known_then(replay, heard):
-    heard.clear()
+def test_a_jump_shows_what_was_known_then(replay, received):
+    received.clear()
     replay.seek(BEGIN_S + 4.02)
-    shown = dict(heard)
+    shown = dict(received)
     assert shown["parts"].parts[0].x == pytest.approx(0.040)
     assert shown["task_status"].text == "begun"  # latched: published long before
-    assert len(heard) == 2
-    heard.clear()
+    assert len(received) == 2
+    received.clear()
     replay.seek(BEGIN_S - 7)
-    assert (replay.now, dict(heard)["parts"].parts[0].x) == (replay.begin, 0.0)
-    assert "task_status" not in dict(heard)
+    assert (replay.now, dict(received)["parts"].parts[0].x) == (replay.begin, 0.0)
+    assert "task_status" not in dict(received)
     replay.seek(BEGIN_S + 99)
     assert replay.now == replay.end == pytest.approx(BEGIN_S + 5)
 
 
-def test_it_plays_at_its_rate_and_ends(replay, heard, monkeypatch):
+def test_it_plays_at_its_rate_and_ends(replay, received, monkeypatch):
     clock = [100.0]
     monkeypatch.setattr("plate_view.ros.replay.time.monotonic", lambda: clock[0])
     replay.step()
-    heard.clear()
+    received.clear()
     clock[0] += 1.0
     replay.step()
-    assert heard == []  # it does not play yet
+    assert received == []  # it does not play yet
     replay.set_rate(2.0)
     replay.play(True)
     clock[0] += 0.5
     replay.step()
     assert replay.now == pytest.approx(BEGIN_S + 1.0)
-    assert dict(heard)["parts"].parts[0].x == pytest.approx(0.010)
+    assert dict(received)["parts"].parts[0].x == pytest.approx(0.010)
     clock[0] += 60
     replay.step()
     assert not replay.playing
-    assert dict(heard)["parts"].parts[0].x == pytest.approx(0.050)
+    assert dict(received)["parts"].parts[0].x == pytest.approx(0.050)
     replay.play(True)
     assert replay.now == replay.begin  # from the beginning again
     with pytest.raises(PlateError, match="rate is 100, allowed"):
@@ -190,7 +193,7 @@ def test_a_damaged_record_is_reported(replay, monkeypatch):
         replay.seek(BEGIN_S + 1)
 
 
-def test_a_bag_that_is_damaged_in_the_middle_plays_up_to_there(bag, heard, monkeypatch):
+def test_a_bag_that_is_damaged_in_the_middle_plays_up_to_there(bag, received, monkeypatch):
     clock = [100.0]
     monkeypatch.setattr("plate_view.ros.replay.time.monotonic", lambda: clock[0])
     (file,) = bag.glob("*.db3")
@@ -200,7 +203,7 @@ def test_a_bag_that_is_damaged_in_the_middle_plays_up_to_there(bag, heard, monke
             (b"\x00\x01\x00\x00\xff", round(1e9 * (BEGIN_S + 3.0))),
         )
     lines.close()
-    replay = Replay(bag, KINDS, lambda topic, msg: heard.append((topic, msg)))
+    replay = Replay(bag, KINDS, lambda topic, msg: received.append((topic, msg)))
     replay.play(True)
     for _ in range(60):
         clock[0] += 0.1
@@ -209,13 +212,13 @@ def test_a_bag_that_is_damaged_in_the_middle_plays_up_to_there(bag, heard, monke
     assert replay.now == pytest.approx(BEGIN_S + 3.0, abs=0.11)
     assert "bag is damaged (" in replay.problem
     assert "), allowed: an intact bag" in replay.problem
-    assert heard[-1][1].parts[0].x == pytest.approx(0.029, abs=0.0015)
+    assert received[-1][1].parts[0].x == pytest.approx(0.029, abs=0.0015)
     replay.play(True)  # the rest of it is whole
     assert replay.problem == ""
     for _ in range(60):
         clock[0] += 0.1
         replay.step()
-    assert (heard[-1][1].parts[0].x, replay.problem) == (pytest.approx(0.050), "")
+    assert (received[-1][1].parts[0].x, replay.problem) == (pytest.approx(0.050), "")
     replay.close()
 
 
