@@ -306,6 +306,23 @@ def test_no_run_is_lost_with_a_connection_that_is_cut(pool):
     assert numbers(runs) == list(range(12))
 
 
+def test_a_run_is_not_lost_if_the_connection_is_cut_while_its_result_is_transmitted(
+    pool, monkeypatch
+):
+    client, cuts = pool._client, []
+    transmit = client._gather_remote
+
+    async def cut_first(*options):
+        if not cuts:
+            cuts.append(1)
+            client.scheduler_comm.comm.abort()
+        return await transmit(*options)
+
+    monkeypatch.setattr(client, "_gather_remote", cut_first)
+    assert numbers(submitted(pool, 4)) == list(range(4))
+    assert cuts
+
+
 @pytest.mark.parametrize(
     ("run", "error", "words"),
     [

@@ -18,7 +18,6 @@ import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, Future, InvalidStateError, wait
 from contextlib import suppress
-from functools import partial
 from typing import Any
 
 from plate_core import PlateError
@@ -44,6 +43,9 @@ FIRST_S = 60.0
 
 STOP_S = 5.0
 """Time limit of the end of the connection in `shutdown` [s]."""
+
+USABLE = "running", "connecting"
+"""States of Dask's client in which it accepts runs."""
 
 WATCH_S = 0.5
 """Interval in which a worker checks whether its run was canceled [s]."""
@@ -98,10 +100,8 @@ class Cluster(Executor):
         # The scheduler sends runs only to workers with this resource. Each accepted worker has one
         # unit of the resource, so it executes one run at a time.
         self._key = f"plate-{hashlib.sha256(repr(self._terms).encode()).hexdigest()[:16]}"
-        self._pool = self._client.get_executor(pure=False, resources={self._key: 1})
-        self._calls: dict[Future[Any], tuple[Any, ...]] = {}
-        self._sent: dict[Future[Any], Future[Any]] = {}
-        self._lost: set[Future[Any]] = set()
+        self._calls: dict[Future[Any], bytes] = {}
+        self._sent: dict[Future[Any], Any] = {}
         self._refusals: dict[str, str] = {}
         self._ending, self._waits = threading.Event(), False
         try:
@@ -120,9 +120,11 @@ class Cluster(Executor):
         # encoded or decoded, Dask would report no error.
         from distributed.protocol.pickle import dumps
 
-        self._calls[result] = (_run_on_worker, dumps((fn, args, kwargs)))
+        self._calls[result] = dumps((fn, args, kwargs))
         result.add_done_callback(self._remove_run)
-        self._submit_run(result)
+        self._client.loop.add_callback(self._execute, result)
+        if self._client.status == "closed":
+            self._fail_runs()
         return result
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = True) -> None:
@@ -134,80 +136,56 @@ class Cluster(Executor):
             result.cancel()
         self._client.close(timeout=STOP_S)
 
-    def _submit_run(self, result: Future[Any]) -> None:
-        """Send a run to the scheduler."""
-        if (call := self._calls.get(result)) is None:
-            return
-        try:
-            sent = self._pool.submit(*call)
-        except Exception as problem:
-            if not self._record_lost_run(result):
-                raise PlateError(f"cluster {self._address}: {_error_text(problem)}") from problem
-            return
-        self._sent[result] = sent
-        sent.add_done_callback(partial(self._deliver_result, result))
-        if result.done():  # the run was canceled in the meantime
-            self._cancel_run(result)
+    async def _execute(self, result: Future[Any]) -> None:
+        """Send a run to the scheduler, and pass its result or exception to the caller. Send the
+        run again if the connection is lost before its result has arrived.
 
-    def _deliver_result(self, result: Future[Any], sent: Future[Any]) -> None:
-        """Pass the result or the exception of a run to the caller. If the run was lost together
-        with the scheduler, only record that it must be sent again."""
-        if sent.cancelled():
-            self._record_lost_run(result)
-            return
-        problem = sent.exception()
-        if type(problem).__name__ == "KilledWorker":
-            problem = PlateError(f"several workers died while they ran the same job: {problem}")
-        value = None
-        if problem is None:
+        Dask's own executor is not used: if the connection is lost during the transfer of a result,
+        its future never ends. This method runs in the thread of Dask's event loop. If another
+        thread submitted runs, Dask could fail to connect again.
+        """
+        while (call := self._calls.get(result)) is not None and self._client.status in USABLE:
+            run = self._client.submit(_run_on_worker, call, pure=False, resources={self._key: 1})
+            self._sent[result] = run
             try:
-                value = pickle.loads(sent.result())
-            except Exception as unread:
-                text = _error_text(unread)
-                problem = PlateError(f"the result of a run cannot be read here: {text}")
-        # If the caller has canceled the run in the meantime, an InvalidStateError is raised.
-        with suppress(InvalidStateError):
-            if problem is None:
-                result.set_result(value)
+                encoded = await run
+            except Exception as problem:
+                if run.status == "error":
+                    _deliver(result, None, problem)
+                elif not result.done():
+                    await asyncio.sleep(POLL_S)
             else:
-                result.set_exception(problem)
-
-    def _record_lost_run(self, result: Future[Any]) -> bool:
-        """Record that a lost run must be sent again. Return whether this is possible."""
-        if self._client.status == "closed":
-            return False
-        if not result.done():
-            self._lost.add(result)
-        return True
+                _deliver(result, encoded, None)
 
     def _remove_run(self, result: Future[Any]) -> None:
         del self._calls[result]
-        self._lost.discard(result)
-        self._cancel_run(result)
+        self._client.loop.add_callback(self._release_run, result)
         if result.cancelled():
             result.set_running_or_notify_cancel()
 
-    def _cancel_run(self, result: Future[Any]) -> None:
-        """Cancel a run if it has not ended, and delete its result in the cluster. If the result
-        were not deleted, the cluster would repeat the run after the death of its worker."""
-        if (sent := self._sent.pop(result, None)) is not None:
-            sent.cancel()
+    async def _release_run(self, result: Future[Any]) -> None:
+        """Cancel a run if it has not ended. Drop the last reference to it, so that Dask deletes its
+        result in the cluster. Otherwise the cluster would repeat it after the death of its
+        worker."""
+        if (run := self._sent.pop(result, None)) is not None and not run.done():
+            await run.cancel()
+
+    def _fail_runs(self) -> None:
+        """End all runs, because the connection is closed."""
+        text = f"cluster {self._address}: no connection to the scheduler for {RETURN_S:g} s"
+        for result in list(self._calls):
+            with suppress(InvalidStateError):
+                result.set_exception(PlateError(text))
 
     def _watch_workers(self) -> None:
-        """Check each new worker, and send lost runs again."""
+        """Check each new worker."""
         while not self._ending.wait(POLL_S):
             if self._client.status == "closed":
-                text = f"cluster {self._address}: no connection to the scheduler for {RETURN_S:g} s"
-                for result in list(self._calls):
-                    with suppress(InvalidStateError):
-                        result.set_exception(PlateError(text))
+                self._fail_runs()
                 return
             with suppress(Exception):  # the connection is lost
                 if self._client.status == "running":
                     self._check_new_workers()
-                    for result in list(self._lost):
-                        self._lost.discard(result)
-                        self._submit_run(result)
 
     def _await_workers(self) -> None:
         """Wait until the first worker is accepted, for at most `FIRST_S`.
@@ -350,6 +328,25 @@ async def _query_server(address: str) -> tuple[str, str]:
     finally:
         comm.abort()
     return about["type"], versions["packages"]["distributed"]
+
+
+def _deliver(result: Future[Any], encoded: bytes | None, problem: Exception | None) -> None:
+    """Set the result of a run from its bytes, or its exception. If the caller has canceled the run
+    in the meantime, do nothing."""
+    value = None
+    if type(problem).__name__ == "KilledWorker":
+        problem = PlateError(f"several workers died while they ran the same job: {problem}")
+    if encoded is not None:
+        try:
+            value = pickle.loads(encoded)
+        except Exception as unread:
+            text = _error_text(unread)
+            problem = PlateError(f"the result of a run cannot be read here: {text}")
+    with suppress(InvalidStateError):
+        if problem is None:
+            result.set_result(value)
+        else:
+            result.set_exception(problem)
 
 
 def _error_text(problem: BaseException) -> str:
