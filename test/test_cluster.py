@@ -296,14 +296,27 @@ def test_the_runs_of_a_killed_command_end_on_the_workers(shared, pool, tmp_path)
     assert processes_of(pool) == {worker.pid for worker in shared.workers}
 
 
-def test_no_run_is_lost_with_a_connection_that_is_cut(pool):
+def cut_connections(address):
+    """Cut the scheduler's connections to all clients."""
+    from distributed import Client
+
+    with Client(address, set_as_default=False) as own:
+        own.run_on_scheduler(
+            lambda own, dask_scheduler: [
+                one.comm.abort() for name, one in dask_scheduler.client_comms.items() if name != own
+            ],
+            own.id,
+        )
+
+
+def test_no_run_is_lost_with_a_connection_that_is_cut(pool, shared, messages):
     """The runs on the workers end, and the command sends all unfinished runs again."""
     runs = submitted(pool, 12)
     next(as_completed(runs, WAIT_S))
-    pool._client.run_on_scheduler(
-        lambda dask_scheduler: [one.comm.abort() for one in dask_scheduler.client_comms.values()]
-    )
+    cut_connections(shared.address)
     assert numbers(runs) == list(range(12))
+    lines = [line.partition(": ")[2] for line in messages if shared.address in line]
+    assert lines == ["connection lost; trying for 60 s", "connected again"]
 
 
 def test_a_run_is_not_lost_if_the_connection_is_cut_while_its_result_is_transmitted(

@@ -14,6 +14,7 @@ import pickle
 import socket
 import sys
 import threading
+import time
 import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, Future, InvalidStateError, wait
@@ -43,9 +44,6 @@ FIRST_S = 60.0
 
 STOP_S = 5.0
 """Time limit of the end of the connection in `shutdown` [s]."""
-
-USABLE = "running", "connecting"
-"""States of Dask's client in which it accepts runs."""
 
 WATCH_S = 0.5
 """Interval in which a worker checks whether its run was canceled [s]."""
@@ -103,13 +101,14 @@ class Cluster(Executor):
         self._calls: dict[Future[Any], bytes] = {}
         self._sent: dict[Future[Any], Any] = {}
         self._refusals: dict[str, str] = {}
-        self._ending, self._waits = threading.Event(), False
+        self._lock = threading.Lock()  # held while a run is submitted, or the client is replaced
+        self._ending, self._failed, self._waits = threading.Event(), False, False
         try:
             self._await_workers()
         except BaseException:
             self.shutdown()
             raise
-        threading.Thread(target=self._watch_workers, daemon=True).start()
+        threading.Thread(target=self._watch, daemon=True).start()
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """Submit a run, as `concurrent.futures.Executor` describes. A run that has begun can also
@@ -120,10 +119,15 @@ class Cluster(Executor):
         # encoded or decoded, Dask would report no error.
         from distributed.protocol.pickle import dumps
 
-        self._calls[result] = dumps((fn, args, kwargs))
+        call = dumps((fn, args, kwargs))
+        with self._lock:
+            if self._ending.is_set():
+                raise RuntimeError("a run was submitted after shutdown")
+            self._calls[result] = call
+            self._client.loop.add_callback(self._execute, self._client, result)
+            failed = self._failed
         result.add_done_callback(self._remove_run)
-        self._client.loop.add_callback(self._execute, result)
-        if self._client.status == "closed":
+        if failed:
             self._fail_runs()
         return result
 
@@ -134,41 +138,40 @@ class Cluster(Executor):
         self._ending.set()
         for result in list(self._calls):
             result.cancel()
-        self._client.close(timeout=STOP_S)
+        with self._lock:
+            _close(self._client)
 
-    async def _execute(self, result: Future[Any]) -> None:
-        """Send a run to the scheduler, and pass its result or exception to the caller. Send the
-        run again if the connection is lost before its result has arrived.
+    async def _execute(self, client: Any, result: Future[Any]) -> None:
+        """Send a run to the scheduler, and pass its result or exception to the caller.
 
-        Dask's own executor is not used: if the connection is lost during the transfer of a result,
-        its future never ends. This method runs in the thread of Dask's event loop. If another
-        thread submitted runs, Dask could fail to connect again.
+        If the connection is lost, this method ends without a result. Dask's own executor is not
+        used: if the connection is lost during the transfer of a result, its future never ends.
         """
-        while (call := self._calls.get(result)) is not None and self._client.status in USABLE:
-            run = self._client.submit(_run_on_worker, call, pure=False, resources={self._key: 1})
+        while (call := self._calls.get(result)) is not None and client.status == "running":
+            run = client.submit(_run_on_worker, call, pure=False, resources={self._key: 1})
             self._sent[result] = run
+            if result.done():  # canceled by another thread in the meantime
+                self._release_run(result)
             try:
                 encoded = await run
             except Exception as problem:
                 if run.status == "error":
                     _deliver(result, None, problem)
-                elif not result.done():
-                    await asyncio.sleep(POLL_S)
             else:
                 _deliver(result, encoded, None)
 
     def _remove_run(self, result: Future[Any]) -> None:
         del self._calls[result]
-        self._client.loop.add_callback(self._release_run, result)
+        self._release_run(result)
         if result.cancelled():
             result.set_running_or_notify_cancel()
 
-    async def _release_run(self, result: Future[Any]) -> None:
+    def _release_run(self, result: Future[Any]) -> None:
         """Cancel a run if it has not ended. Drop the last reference to it, so that Dask deletes its
         result in the cluster. Otherwise the cluster would repeat it after the death of its
         worker."""
         if (run := self._sent.pop(result, None)) is not None and not run.done():
-            await run.cancel()
+            run.client.loop.add_callback(run.cancel)
 
     def _fail_runs(self) -> None:
         """End all runs, because the connection is closed."""
@@ -177,15 +180,37 @@ class Cluster(Executor):
             with suppress(InvalidStateError):
                 result.set_exception(PlateError(text))
 
-    def _watch_workers(self) -> None:
-        """Check each new worker."""
+    def _watch(self) -> None:
+        """Check each new worker. If the connection is lost, connect again."""
         while not self._ending.wait(POLL_S):
-            if self._client.status == "closed":
-                self._fail_runs()
-                return
-            with suppress(Exception):  # the connection is lost
-                if self._client.status == "running":
+            if self._client.status == "running" and not self._client._handle_report_task.done():
+                with suppress(Exception):  # the connection is lost
                     self._check_new_workers()
+            elif not self._connect_again():
+                return
+
+    def _connect_again(self) -> bool:
+        """Replace the client, and send all unfinished runs again. Return False if the scheduler
+        does not answer within `RETURN_S`, or during `shutdown`."""
+        self._report(f"cluster {self._address}: connection lost; trying for {RETURN_S:g} s")
+        _close(self._client)
+        end = time.monotonic() + RETURN_S
+        while time.monotonic() < end and not self._ending.wait(POLL_S):
+            with suppress(Exception):
+                client = _connect(self._address)
+                with self._lock:
+                    if self._ending.is_set():
+                        _close(client)
+                        return False
+                    self._client, self._refusals = client, {}
+                    for result in list(self._calls):
+                        client.loop.add_callback(self._execute, client, result)
+                self._report(f"cluster {self._address}: connected again")
+                return True
+        with self._lock:
+            self._failed = True
+        self._fail_runs()
+        return False
 
     def _await_workers(self) -> None:
         """Wait until the first worker is accepted, for at most `FIRST_S`.
@@ -280,7 +305,18 @@ def _connect(address: str) -> Any:
         # Suppress Dask's warning of different versions, because other code refuses different
         # versions.
         warnings.simplefilter("ignore")
-        return distributed.Client(address, timeout=RETURN_S, set_as_default=False)
+        client: Any = distributed.Client(address, timeout=RETURN_S, set_as_default=False)
+    # Dask's client sometimes does not connect again. Then it stays in this state forever. Therefore
+    # it closes if its connection is lost, and `Cluster` replaces it.
+    client._reconnect = client._close
+    return client
+
+
+def _close(client: Any) -> None:
+    """Close a client of Dask, also if its connection is lost."""
+    with suppress(Exception):
+        client.close(timeout=STOP_S)
+    client._loop_runner.stop()  # `close` does not do this if the client has closed itself
 
 
 def _query_within_limit(address: str) -> tuple[str, str]:
