@@ -31,7 +31,7 @@ def _played(rig):
 
 
 def test_sequence_closes_from_rest_to_rest(played):
-    pose, twist, accel, dt, gap = *played[3:7], played.corners[-1]
+    pose, twist, accel, dt, gap = *played[3:7], played.knot_pose[-1]
     assert np.max(np.abs(gap)) > 1e-3, "nothing had to be closed"
     assert dt.sum() == pytest.approx(PERIOD)
     for end in (0, -1):
@@ -50,8 +50,8 @@ def test_sequence_is_consistent_in_time(played):
 
 
 def test_sequence_turns_about_its_centres_in_order(played):
-    accel, gap = played.accel, played.corners[-1]
-    times, knots = played.times, played.knots
+    accel, gap = played.accel, played.knot_pose[-1]
+    times, knots = played.times, played.knot_twist
     assert times[0] == 0
     assert times[-1] == pytest.approx(PERIOD)
     assert np.all(np.diff(times) >= 0)
@@ -121,7 +121,7 @@ def test_force_slopes_agree_with_differences(rig):
         _, twist, dt = sequence.samples(theta)
         return step_forces(position, velocity, twist, dt).ravel()[requested]
 
-    found = force_slopes(parameters, sequence.plain, position, velocity, requested)
+    found = force_slopes(parameters, sequence.kernel_data, position, velocity, requested)
     step = 1e-6
     for p, d in enumerate(step * np.eye(len(parameters))):
         slope = (forces(parameters + d) - forces(parameters - d)) / (2 * step)

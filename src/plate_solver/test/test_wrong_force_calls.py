@@ -28,7 +28,7 @@ SLIP, WORK = random(2 * NUMBER + 1, 2), random(5, RULES.waves.shape[1])
 MOTIONS = motions_of(NUMBER, BASIS, LIMITS)
 START = random(1, 3 * BASIS.size)
 HALF, LOADS = random(2), random(4, 3)
-FAMILY = RotationFamily(random(2, 3), LIMITS, 0.1, 0.25, steps=(2, 3)).plain
+FAMILY = RotationFamily(random(2, 3), LIMITS, 0.1, 0.25, steps=(2, 3)).kernel_data
 THETA = random(9)
 COUNT = 15  # of steps, in three ramps and three holds
 ASKED = np.ones(3 * PARTS, bool)

@@ -27,7 +27,7 @@ static nb::object slopes_of_forces(Numbers theta, nb::tuple record, Table positi
     Matrix jacobian;
     {
         nb::gil_scoped_release others_may_run;
-        force_slopes(own, family, line_of(own, family), view(position), view(velocity), rows,
+        force_slopes(own, family, knots_of(own, family), view(position), view(velocity), rows,
                      jacobian);
     }
     return to_numpy(std::move(jacobian));

@@ -53,27 +53,27 @@ struct Parts {
     }
 };
 
-// Rows of the matrix `value` in `directions`. Each row contains one derivative of force x (X),
+// Rows of the matrix `slopes` in `step_slopes`. Each row contains one derivative of force x (X),
 // force y (Y) or curl with respect to the twist (u, v, spin). For example, XY is d force x / d v.
 // The rows of the curl are used only if curls are requested.
 enum Row { XX, XY, YY, X_SPIN, Y_SPIN, CURL_U, CURL_V, CURL_SPIN };
 
-// Computes the contribution of one time step, which takes `fraction` of the period. `value` (8, M)
+// Computes the contribution of one time step, which takes `fraction` of the period. `slopes` (8, M)
 // receives the derivatives of each part's force and curl with respect to the twist. The force and
-// the curl during the step are added to `way` (3, M).
+// the curl during the step are added to `force` (3, M).
 template <bool TURNING>
-[[gnu::always_inline]] inline void directions(const double (&twist)[3], const Parts& parts,
-                                              double fraction, Matrix& value, Matrix& way) {
-    const int count = value.columns;
+[[gnu::always_inline]] inline void step_slopes(const double (&twist)[3], const Parts& parts,
+                                               double fraction, Matrix& slopes, Matrix& force) {
+    const int count = slopes.columns;
     const double u = twist[0], v = twist[1], spin = twist[2];
     const double *__restrict px = parts.x.data(), *__restrict py = parts.y.data();
     const double *__restrict vx = parts.vx.data(), *__restrict vy = parts.vy.data();
-    double *__restrict by_xx = value[XX], *__restrict by_xy = value[XY];
-    double* __restrict by_yy = value[YY];
-    double *__restrict x_spin = value[X_SPIN], *__restrict y_spin = value[Y_SPIN];
-    double *__restrict curl_u = value[CURL_U], *__restrict curl_v = value[CURL_V];
-    double* __restrict curl_spin = value[CURL_SPIN];
-    double *__restrict fx = way[0], *__restrict fy = way[1], *__restrict curls = way[2];
+    double *__restrict by_xx = slopes[XX], *__restrict by_xy = slopes[XY];
+    double* __restrict by_yy = slopes[YY];
+    double *__restrict x_spin = slopes[X_SPIN], *__restrict y_spin = slopes[Y_SPIN];
+    double *__restrict curl_u = slopes[CURL_U], *__restrict curl_v = slopes[CURL_V];
+    double* __restrict curl_spin = slopes[CURL_SPIN];
+    double *__restrict fx = force[0], *__restrict fy = force[1], *__restrict curls = force[2];
 #pragma omp simd
     for (int i = 0; i < count; i++) {
         const double x = px[i], y = py[i];
@@ -96,30 +96,30 @@ template <bool TURNING>
 }
 
 // Adds the contribution of segment k to the derivatives with respect to its two knots. `total` (5,
-// 8 M) contains five weighted sums over the derivatives of the segment's steps. `way` (3, M)
+// 8 M) contains five weighted sums over the derivatives of the segment's steps. `force` (3, M)
 // contains the sums of the steps' forces and curls. The results are ordered: force x of all parts,
 // force y of all parts, curls of all parts.
 inline void to_knots(int k, double steps_period, const double* gap, const Matrix& total,
-                     const Matrix& way, ByKnots& by) {
+                     const Matrix& force, ByKnots& by) {
     constexpr int ROW[3][3] = {{XX, XY, X_SPIN}, {XY, YY, Y_SPIN}, {CURL_U, CURL_V, CURL_SPIN}};
-    const int count = way.columns, last = by.time.rows - 1;
+    const int count = force.columns, last = by.time.rows - 1;
     for (int axis = 0; axis * count < by.results(); axis++) {
         double *__restrict time = by.time[k] + axis * count;
         double *__restrict next_time = by.time[k + 1] + axis * count;
         for (int i = 0; i < count; i++) {
-            const double longer = way[axis][i] / steps_period;
-            time[i] -= longer;
-            next_time[i] += longer;
+            const double by_length = force[axis][i] / steps_period;
+            time[i] -= by_length;
+            next_time[i] += by_length;
         }
         for (int c = 0; c < 3; c++) {
             const int first = ROW[axis][c] * count;
-            double* __restrict from = by.knot[3 * k + c] + axis * count;
-            double* __restrict to = by.knot[3 * (k + 1) + c] + axis * count;
-            double* __restrict end = by.corner[3 * last + c] + axis * count;
+            double* __restrict start = by.twist[3 * k + c] + axis * count;
+            double* __restrict end = by.twist[3 * (k + 1) + c] + axis * count;
+            double* __restrict by_gap = by.pose[3 * last + c] + axis * count;
             for (int i = 0; i < count; i++) {
-                from[i] += total[0][first + i];
-                to[i] += total[1][first + i];
-                end[i] -= total[2][first + i];
+                start[i] += total[0][first + i];
+                end[i] += total[1][first + i];
+                by_gap[i] -= total[2][first + i];
                 time[i] -= gap[c] * total[3][first + i];
                 next_time[i] -= gap[c] * total[4][first + i];
             }
@@ -130,46 +130,48 @@ inline void to_knots(int k, double steps_period, const double* gap, const Matrix
 // Returns the derivatives of the average forces with respect to the knots. The forces are ordered:
 // force x of all parts, force y of all parts and, if TURNING, the curls of all parts.
 template <bool TURNING>
-[[gnu::always_inline]] inline ByKnots forces_back(const Sequences& family, const Line& line,
+[[gnu::always_inline]] inline ByKnots forces_back(const Sequences& family, const Knots& knots,
                                                   const Parts& parts) {
     constexpr int WEIGHTS = 5, ROWS = TURNING ? 8 : 5;
-    const int count = static_cast<int>(parts.x.size()), segments = line.segments();
-    const double period = line.times.back();
-    const Matrix corners = knot_poses(line);
-    const double* gap = corners[segments];
-    ByKnots by(line, (TURNING ? 3 : 2) * count);
-    Matrix value(8, count), way(3, count), total(WEIGHTS, ROWS * count);
+    const int count = static_cast<int>(parts.x.size()), segments = knots.segments();
+    const double period = knots.times.back();
+    const Matrix poses = knot_poses(knots);
+    const double* gap = poses[segments];
+    ByKnots by(knots, (TURNING ? 3 : 2) * count);
+    Matrix slopes(8, count), force(3, count), total(WEIGHTS, ROWS * count);
     for (int k = 0; k < segments; k++) {
         const int steps = family.steps[k % 2];
-        const double fraction = (line.times[k + 1] - line.times[k]) / (steps * period);
-        const double *from = line.knots[k], *to = line.knots[k + 1];
+        const double fraction = (knots.times[k + 1] - knots.times[k]) / (steps * period);
+        const double *start = knots.twists[k], *end = knots.twists[k + 1];
         std::fill(total.numbers.begin(), total.numbers.end(), 0.0);
-        std::fill(way.numbers.begin(), way.numbers.end(), 0.0);
-        for (int part = 0; part < steps; part++) {
-            const Place at(line, k, part, steps);
-            const double x = at.x, s = x * x * (3 - 2 * x);
-            const double weight[WEIGHTS] = {1 - s, s, at.rate, at.accel * (1 - x), at.accel * x};
+        std::fill(force.numbers.begin(), force.numbers.end(), 0.0);
+        for (int step = 0; step < steps; step++) {
+            const Instant now(knots, k, step, steps);
+            const double x = now.x, s = x * x * (3 - 2 * x);
+            const double weight[WEIGHTS] = {1 - s, s, now.closing_rate,
+                                            now.closing_accel * (1 - x), now.closing_accel * x};
             double twist[3];
-            for (int c = 0; c < 3; c++) twist[c] = from[c] * (1 - s) + to[c] * s - gap[c] * at.rate;
-            directions<TURNING>(twist, parts, fraction, value, way);
-            const double* __restrict flat = value[0];
+            for (int c = 0; c < 3; c++)
+                twist[c] = start[c] * (1 - s) + end[c] * s - gap[c] * now.closing_rate;
+            step_slopes<TURNING>(twist, parts, fraction, slopes, force);
+            const double* __restrict flat = slopes[0];
             for (int w = 0; w < WEIGHTS; w++) {
                 double* __restrict sum = total[w];
 #pragma omp simd
                 for (int i = 0; i < ROWS * count; i++) sum[i] += weight[w] * flat[i];
             }
         }
-        to_knots(k, steps * period, gap, total, way, by);
+        to_knots(k, steps * period, gap, total, force, by);
     }
-    corners_back(line, by);
+    knot_poses_back(knots, by);
     return by;
 }
 
 // Computes the derivatives (R, P) of R results of `step_forces` with respect to the P parameters of
-// the sequence. `rows` contains the indices of these results. `line` contains the knots of the
+// the sequence. `rows` contains the indices of these results. `knots` contains the knots of the
 // sequence with the parameters `theta`.
 PLATE_WIDE inline void force_slopes(const Parameters& theta, const Sequences& family,
-                                    const Line& line, View<const double, 2> position,
+                                    const Knots& knots, View<const double, 2> position,
                                     View<const double, 2> velocity,
                                     const std::vector<int>& rows, Matrix& jacobian) {
     const int count = position.size(0);
@@ -180,8 +182,8 @@ PLATE_WIDE inline void force_slopes(const Parameters& theta, const Sequences& fa
         results.push_back(row % 3 * count + row / 3);
         turning = turning || row % 3 == 2;
     }
-    const ByKnots by =
-        turning ? forces_back<true>(family, line, parts) : forces_back<false>(family, line, parts);
+    const ByKnots by = turning ? forces_back<true>(family, knots, parts)
+                               : forces_back<false>(family, knots, parts);
     parameters_back(theta, family, by, results, jacobian);
 }
 
@@ -192,10 +194,10 @@ inline Fit descend(const SequenceForces& problem, Parameters theta, double toler
     const auto evaluate = [&](Parameters& trial, std::vector<double>& error) {
         run = runnable(std::move(trial), problem.family);
         trial = run.theta;
-        missed(problem, view_of(run.moved.twist), run.moved.dt.data(), error);
+        missed(problem, view_of(run.samples.twist), run.samples.dt.data(), error);
     };
     const auto slopes = [&](Matrix& jacobian) {
-        force_slopes(run.theta, problem.family, run.line, problem.position, problem.velocity,
+        force_slopes(run.theta, problem.family, run.knots, problem.position, problem.velocity,
                      problem.rows, jacobian);
         for (int r = 0; r < jacobian.rows; r++)
             for (int p = 0; p < jacobian.columns; p++) jacobian[r][p] *= problem.scale(r);

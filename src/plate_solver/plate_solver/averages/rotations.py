@@ -45,7 +45,7 @@ class SequenceForces(NamedTuple):
         """Convert a request and a family of sequences to this form."""
         rows = request.rows
         return cls(
-            family.plain, request.position, request.velocity, rows,
+            family.kernel_data, request.position, request.velocity, rows,
             request.requested[rows], request.scale[rows],
         )  # fmt: skip
 

@@ -51,24 +51,24 @@ inline Ramps ramps_of(const Parameters& theta, const Sequences& family) {
     return ramps(view_of(twists), family.limits.half, view_of(family.loads), family.accel);
 }
 
-// Returns the times of the knots and the plate's twists at the knots (see `timeline`).
-inline Line line_of(const Parameters& theta, const Sequences& family) {
+// Returns the times of the knots and the plate's twists at the knots (see `place_knots`).
+inline Knots knots_of(const Parameters& theta, const Sequences& family) {
     const Matrix twists = twists_of(theta, family);
-    return timeline(holds_of(theta, family), view_of(twists), ramps_of(theta, family).length,
+    return place_knots(holds_of(theta, family), view_of(twists), ramps_of(theta, family).length,
                     family.period);
 }
 
 // Parameters, and the knots and samples of their motion.
 struct Run {
     Parameters theta;
-    Line line;
-    Moved moved;
+    Knots knots;
+    MotionSamples samples;
 };
 
 inline Run run_of(const Parameters& theta, const Sequences& family) {
-    Line line = line_of(theta, family);
-    Moved moved = motion(line, family.steps);
-    return {theta, std::move(line), std::move(moved)};
+    Knots knots = knots_of(theta, family);
+    MotionSamples samples = motion(knots, family.steps);
+    return {theta, std::move(knots), std::move(samples)};
 }
 
 // Changes the parameters so that the rig can run the motion. Durations are raised to at least
@@ -91,12 +91,12 @@ inline Run runnable(Parameters theta, const Sequences& family) {
         const double filled = sum(ramps_of(theta, family).length) / (MAX_RAMPS * family.period);
         if (filled > 1) slow_down(1.001 * filled);
         Run run = run_of(theta, family);
-        const Moved& moved = run.moved;
-        const int n = moved.pose.rows;
-        const Samples pose{moved.pose[0], n, 3, 1}, twist{moved.twist[0], n, 3, 1};
-        const View<const double, 1> dt{moved.dt.data(), {n}};
+        const MotionSamples& samples = run.samples;
+        const int n = samples.pose.rows;
+        const Samples pose{samples.pose[0], n, 3, 1}, twist{samples.twist[0], n, 3, 1};
+        const View<const double, 1> dt{samples.dt.data(), {n}};
         const double used =
-            limit_use(pose, twist, {moved.accel[0], n, 3, 1}, dt, family.limits, true);
+            limit_use(pose, twist, {samples.accel[0], n, 3, 1}, dt, family.limits, true);
         if (used <= 1) return run;
         slow_down(1.01 * used);
     }
@@ -107,7 +107,7 @@ inline Run runnable(Parameters theta, const Sequences& family) {
 // r of `jacobian` contains the derivatives of the result with the index results[r].
 inline void parameters_back(const Parameters& theta, const Sequences& family, const ByKnots& by,
                             const std::vector<int>& results, Matrix& jacobian) {
-    const ByRotations found = timeline_back(holds_of(theta, family), ramps_of(theta, family),
+    const ByRotations found = rotations_back(holds_of(theta, family), ramps_of(theta, family),
                                             family.period, by);
     const int count = family.rotations;
     jacobian.resize(static_cast<int>(results.size()), family.parameters());

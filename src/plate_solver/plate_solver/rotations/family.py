@@ -38,7 +38,7 @@ has a constant twist."""
 HOLD_STEP = 1e-3
 """Length of a time step in a hold that has the mean length of all holds [s]."""
 
-RAMP_PART = 0.95
+RAMP_FRACTION = 0.95
 """Fraction of the acceleration limit that ramps may use. The remaining acceleration is for the
 correction that closes the motion."""
 
@@ -83,25 +83,25 @@ class Run(NamedTuple):
         Parameters of the sequence, as in `RotationFamily`.
     times : (K,)
         Times of the knots [s].
-    knots : (K, 3)
+    knot_twist : (K, 3)
         Twists at the knots [m/s, m/s, rad/s].
     pose, twist, accel : (n, 3)
         Samples at the middles of the steps [m, m, rad; per s; per s2].
     dt : (n,)
         Lengths of the steps [s].
-    corners : (K, 3)
+    knot_pose : (K, 3)
         Poses at the knots [m, m, rad] before the correction that closes the motion. The last one is
         the gap.
     """
 
     parameters: np.ndarray
     times: np.ndarray
-    knots: np.ndarray
+    knot_twist: np.ndarray
     pose: np.ndarray
     twist: np.ndarray
     accel: np.ndarray
     dt: np.ndarray
-    corners: np.ndarray
+    knot_pose: np.ndarray
 
 
 class RotationFamily:
@@ -129,11 +129,11 @@ class RotationFamily:
         self._lengths = np.array([1.0, 1.0, limits.arm_m])
         hold_steps = max(MIN_STEPS, round(period / len(twists) / HOLD_STEP))
         stroke = limits.stroke_m if within_stroke else np.inf
-        self.plain = Sequences(
+        self.kernel_data = Sequences(
             len(twists),
             speed / self._lengths,
             period,
-            RAMP_PART * limits.accel,
+            RAMP_FRACTION * limits.accel,
             limits.accel * limits.loads[2] if limits.forceful else np.empty((0, 3)),
             steps or (RAMP_STEPS, hold_steps),
             limits._replace(stroke_m=stroke),
@@ -143,7 +143,7 @@ class RotationFamily:
     def with_steps(self, steps: tuple[int, int]) -> RotationFamily:
         """Return the family with other numbers of steps per ramp and hold."""
         other = copy(self)
-        other.plain, other._last = self.plain._replace(steps=steps), None
+        other.kernel_data, other._last = self.kernel_data._replace(steps=steps), None
         return other
 
     def parameters(self, fraction: np.ndarray) -> np.ndarray:
@@ -151,7 +151,7 @@ class RotationFamily:
         rest at the end."""
         total = float(np.sum(fraction))
         holds = np.append(fraction / max(1.0, total), max(0.0, 1.0 - total))
-        holds /= 1 / self.plain.rotations
+        holds /= 1 / self.kernel_data.rotations
         return self.admissible(np.concatenate([holds, self._speed_parameters]))
 
     def samples(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -174,14 +174,14 @@ class RotationFamily:
         by_twist : (3, n, R)
         by_dt : (n, R)
         """
-        return _kernels.pull_back(parameters, self.plain, by_pose, by_twist, by_dt)
+        return _kernels.pull_back(parameters, self.kernel_data, by_pose, by_twist, by_dt)
 
     def admissible(self, parameters: np.ndarray) -> np.ndarray:
         """Return parameters with positive durations and a motion within the limits.
 
         The stroke limit is applied only if `within_stroke` is set.
         """
-        self._last = Run(*_kernels.runnable(np.asarray(parameters, dtype=float), self.plain))
+        self._last = Run(*_kernels.runnable(np.asarray(parameters, dtype=float), self.kernel_data))
         return self._last.parameters
 
     def penalty(self, parameters: np.ndarray) -> np.ndarray:
@@ -193,12 +193,12 @@ class RotationFamily:
         over = np.maximum(travel.max(axis=0) - stroke, 0) + np.minimum(
             travel.min(axis=0) + stroke, 0
         )
-        return -np.concatenate([run.corners[-1] * self._lengths, over])
+        return -np.concatenate([run.knot_pose[-1] * self._lengths, over])
 
     def penalty_slopes(self, parameters: np.ndarray) -> np.ndarray:
         """Return the negative derivatives (7, P) of the penalty."""
         levers = self._limits.levers
-        gap = _kernels.gap_slopes(parameters, self.plain) * self._lengths[:, None]
+        gap = _kernels.gap_slopes(parameters, self.kernel_data) * self._lengths[:, None]
         pose = self._run(parameters).pose
         travel = pose @ levers.T
         beyond = [
@@ -219,7 +219,7 @@ class RotationFamily:
     def cycle(self, parameters: np.ndarray) -> PlateCycle:
         """Return the motion as a plate cycle, with knots at the ends of the ramps."""
         run = self._run(parameters)
-        times, twist, pose = run.times, run.knots, run.corners
+        times, twist, pose = run.times, run.knot_twist, run.knot_pose
         period, y = times[-1], times / times[-1]
         shape = np.column_stack(
             [
@@ -239,6 +239,6 @@ class RotationFamily:
         """Return the motion of the parameters. The last result is cached for its parameter array.
         Therefore the array must not be modified in place."""
         if self._last is None or self._last.parameters is not parameters:
-            run = Run(*_kernels.run_of(parameters, self.plain))
+            run = Run(*_kernels.run_of(parameters, self.kernel_data))
             self._last = run._replace(parameters=parameters)
         return self._last

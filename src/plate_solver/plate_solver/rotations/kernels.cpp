@@ -9,15 +9,15 @@ using namespace rotations;
 
 // Returns the fields of the Python tuple `Run`.
 static nb::tuple fields_of(Run&& run) {
-    Moved& moved = run.moved;
-    return nb::make_tuple(to_numpy(std::move(run.theta)), to_numpy(std::move(run.line.times)),
-                          to_numpy(std::move(run.line.knots)), to_numpy(std::move(moved.pose)),
-                          to_numpy(std::move(moved.twist)), to_numpy(std::move(moved.accel)),
-                          to_numpy(std::move(moved.dt)), to_numpy(std::move(moved.corners)));
+    MotionSamples& samples = run.samples;
+    return nb::make_tuple(to_numpy(std::move(run.theta)), to_numpy(std::move(run.knots.times)),
+                          to_numpy(std::move(run.knots.twists)), to_numpy(std::move(samples.pose)),
+                          to_numpy(std::move(samples.twist)), to_numpy(std::move(samples.accel)),
+                          to_numpy(std::move(samples.dt)), to_numpy(std::move(samples.knot_pose)));
 }
 
-// Returns derivatives with respect to the parameters, one row per result. `by_knots(line)` computes
-// the derivatives with respect to the knots.
+// Returns derivatives with respect to the parameters, one row per result. `by_knots(family, knots)`
+// computes the derivatives with respect to the knots.
 template <class ByKnotsOf>
 static nb::object slopes_of(const nb::tuple& record, const Numbers& theta, ByKnotsOf&& by_knots) {
     const Sequences family = sequences_of(record);
@@ -25,7 +25,7 @@ static nb::object slopes_of(const nb::tuple& record, const Numbers& theta, ByKno
     Matrix jacobian;
     {
         nb::gil_scoped_release others_may_run;
-        const ByKnots by = by_knots(family, line_of(own, family));
+        const ByKnots by = by_knots(family, knots_of(own, family));
         std::vector<int> results(by.results());
         std::iota(results.begin(), results.end(), 0);
         parameters_back(own, family, by, results, jacobian);
@@ -38,10 +38,10 @@ static nb::object pull_back_samples(Numbers theta, nb::tuple record, Box by_pose
     const size_t n = by_dt.shape(0), results = by_dt.shape(1);
     check("by_pose", by_pose, {by_pose.shape(0) == 2 ? 2u : 3u, n, results});
     check("by_twist", by_twist, {3, n, results});
-    return slopes_of(record, theta, [&](const Sequences& family, const Line& line) {
-        if (steps_of(line, family.steps) != static_cast<int>(n))
+    return slopes_of(record, theta, [&](const Sequences& family, const Knots& knots) {
+        if (steps_of(knots, family.steps) != static_cast<int>(n))
             throw std::invalid_argument("there are not as many derivatives as steps");
-        return pull_back(line, family.steps, view(by_pose), view(by_twist), view(by_dt));
+        return pull_back(knots, family.steps, view(by_pose), view(by_twist), view(by_dt));
     });
 }
 
@@ -69,7 +69,7 @@ void bind_rotations(nb::module_& m) {
     m.def("pull_back", pull_back_samples);
     m.def("gap_slopes", [](Numbers theta, nb::tuple record) {
         return slopes_of(record, theta,
-                         [](const Sequences&, const Line& line) { return gap_back(line); });
+                         [](const Sequences&, const Knots& knots) { return gap_back(knots); });
     });
 }
 

@@ -170,7 +170,7 @@ class RotationCycles(MotionSolver):
         solution = self._finished(goal, best, good_enough, iterations)
         # the time steps of the search were too coarse
         if found.cost <= enough and not solution.success:
-            ramp, hold = family.plain.steps
+            ramp, hold = family.kernel_data.steps
             fine = family.with_steps((FINER * ramp, FINER * hold))
             found = fit_goal(goal, fine, found.parameters, tolerance, POLISH)
             iterations += found.iterations
