@@ -353,7 +353,8 @@ class Planner:
             parts = self._remove_duplicates(parts, estimator.seen)
         else:
             parts = self._remove_duplicates(parts, estimator.seen, NAMELESS)
-            last = self._update_last_seen(last, parts, estimator.stamp)
+            detected = [k for k, name in enumerate(parts.ids) if name in estimator.seen.ids]
+            last = self._update_last_seen(last, parts.take(detected), estimator.stamp)
         present = without_surplus(self._on_plate(parts), self._labels)
         state = replace(state, last=last, due=np.inf)
         state, assessment = self._advance_task(state, present)
@@ -402,8 +403,8 @@ class Planner:
     def _update_last_seen(
         self, before: Mapping[str, LastSeen], parts: Parts, t: float
     ) -> Mapping[str, LastSeen]:
-        """Return the last position and stamp of each part. If a part has left the plate, its first
-        position outside the plate is used instead."""
+        """Return the last position and stamp of each part, given the detected parts. If a part has
+        left the plate, its first position outside the plate is used instead."""
         half = self.rig.plate.half
         off = {name for name, last in before.items() if np.any(np.abs(last.position) > half)}
         on = np.all(np.abs(parts.position) <= half, axis=1)

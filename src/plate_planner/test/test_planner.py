@@ -84,6 +84,20 @@ def test_a_part_that_falls_off_in_the_last_cycle_is_lost_and_the_task_not_done(h
         assert "grey_2 left the plate at (0.299, 0.050) m" in progress.text
 
 
+def test_a_lost_part_is_reported_at_its_last_detection_and_not_at_a_later_prediction():
+    planner = Planner(RIG, load_scenario("sort_4"), PlannerOptions(image_age_s=0.0))
+    x = np.array([[-0.2, -0.05], [-0.2, 0.05], [0.2, -0.05], [-0.1, 0.05]])
+    parts = Parts.make(("black_1", "black_2", "grey_1", "grey_2"), x)
+    state, cycle = ready(planner, parts), PlateCycle.from_samples(T, SWING)
+    for k in range(40):
+        seen = without(parts, "grey_2") if k >= 4 else parts
+        state, _, progress = planner.plan(state, seen, k * T)
+        state = planner.record_cycle(state, cycle, k * T + T / 2)
+        if progress.phase != "running":
+            break
+    assert "grey_2 was last detected at (-0.100, 0.050) m, 0.3 s after" in progress.text
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_it_assembles(seed):
     scenario = load_scenario("assemble_8")
