@@ -86,15 +86,15 @@ PLATE_WIDE inline double force_use(Samples pose, Samples twist, Samples accel,
             for (int i = 0; i < MOTORS; i++) loads[order][c][i] = limits.loads[order][i][c];
     double total = 0;
     for (int k = 0; k < pose.count; k++) {
-        const double share = weight(k % weight.size(0));
+        const double sample_weight = weight(k % weight.size(0));
         Four force{};
         for (int c = 0; c < 3; c++) {
             force += loads[0][c] * pose(k, c) + loads[1][c] * twist(k, c);
             force += loads[2][c] * accel(k, c);
         }
         keep_greatest(maximum, force);
-        square += share * force * force;
-        total += share;
+        square += sample_weight * force * force;
+        total += sample_weight;
     }
     const double hottest = std::max(0.0, greatest(square / total));
     return std::max(greatest(maximum), limits.heat * std::sqrt(hottest));

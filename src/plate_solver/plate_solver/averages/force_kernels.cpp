@@ -80,7 +80,7 @@ void bind_force_maps(nb::module_& m) {
     m.def("branch_point", [](Table slip, double real, double imag, double close) {
         waves_of(slip);
         const auto point = near_zero_slip::branch_point(view(slip), {real, imag}, close);
-        return nb::make_tuple(point.middle.real, point.middle.imag, point.b, point.alone);
+        return nb::make_tuple(point.middle.real, point.middle.imag, point.b, point.isolated);
     });
     m.def("slip_at", [](Table coefficients, double x, double y, double vx, double vy,
                         Array<double, 2> slip) {

@@ -135,12 +135,12 @@ PLATE_WIDE inline void spline_force(const double* times, View<const double, 3> c
         Force total{0, 0};
         for (int k = 0; k < pieces; k++) {
             const double step = times[k + 1] - times[k];
-            double grow = 1;
+            double power = 1;
             for (int m = 0; m <= DEGREE; m++) {  // polynomial in s, 0 to 1 in the piece
                 const double u3 = (m + 1) * coefficients(k, m + 1, 2);
-                slip[m][0] = grow * ((m + 1) * coefficients(k, m + 1, 0) - y * u3);
-                slip[m][1] = grow * ((m + 1) * coefficients(k, m + 1, 1) + x * u3);
-                grow *= step;
+                slip[m][0] = power * ((m + 1) * coefficients(k, m + 1, 0) - y * u3);
+                slip[m][1] = power * ((m + 1) * coefficients(k, m + 1, 1) + x * u3);
+                power *= step;
             }
             slip[0][0] -= velocity(i, 0);
             slip[0][1] -= velocity(i, 1);
@@ -185,8 +185,8 @@ template <int PARTS>
         }
     }
     for (int i = 0; i < PARTS; i++) {
-        double* own = mean[first + i];
-        own[0] = fx[i] / total, own[1] = fy[i] / total, own[2] = curl[i] / total;
+        double* result = mean[first + i];
+        result[0] = fx[i] / total, result[1] = fy[i] / total, result[2] = curl[i] / total;
     }
 }
 
@@ -215,7 +215,7 @@ inline void step_force_gradient(View<const double, 2> position, View<const doubl
     const int count = position.size(0), n = twist.size(0);
     const double total = total_time(dt, n);
     for (int k = 0; k < n; k++) {
-        const double w = twist(k, 2), share = dt[k] / total;
+        const double w = twist(k, 2), fraction = dt[k] / total;
         for (int i = 0; i < count; i++) {
             const double x = position(i, 0), y = position(i, 1);
             const double dx = twist(k, 0) - w * y - velocity(i, 0);
@@ -223,16 +223,16 @@ inline void step_force_gradient(View<const double, 2> position, View<const doubl
             const double square = dx * dx + dy * dy;
             if (square <= TINY_SQUARE) continue;
             const double inverse = 1 / std::sqrt(square);
-            const double ux = dx * inverse, uy = dy * inverse, own = share * inverse;
+            const double ux = dx * inverse, uy = dy * inverse, scale = fraction * inverse;
             const double curl = w * inverse;
-            const double by_u[3] = {own * (1 - ux * ux), -own * ux * uy, -own * ux * curl};
-            const double by_v[3] = {-own * ux * uy, own * (1 - uy * uy), -own * uy * curl};
+            const double by_u[3] = {scale * (1 - ux * ux), -scale * ux * uy, -scale * ux * curl};
+            const double by_v[3] = {-scale * ux * uy, scale * (1 - uy * uy), -scale * uy * curl};
             for (int row = 0; row < 3; row++) {
                 gradient(0, k, 3 * i + row) = by_u[row];
                 gradient(1, k, 3 * i + row) = by_v[row];
                 gradient(2, k, 3 * i + row) = x * by_v[row] - y * by_u[row];
             }
-            gradient(2, k, 3 * i + 2) += own;
+            gradient(2, k, 3 * i + 2) += scale;
         }
     }
 }

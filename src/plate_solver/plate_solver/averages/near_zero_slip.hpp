@@ -44,7 +44,7 @@ constexpr double STEP = 0.55;
 constexpr double WEIGHT = 2 / PI * STEP;
 
 // Maximum number of nodes of the sum over u. This number is sufficient for b = NARROWEST.
-constexpr int PLACES = 44;
+constexpr int MAX_NODES = 44;
 
 // Minimum distance b of a branch point from the real axis [rad]. Smaller distances are replaced by
 // this value, because the slip's direction practically jumps there.
@@ -73,12 +73,12 @@ constexpr double CLOSE = 4.0;
 constexpr int NEWTON_STEPS = 10;
 
 struct Nodes {
-    std::array<double, PLACES> cosh, sinh;
+    std::array<double, MAX_NODES> cosh, sinh;
 };
 
 inline const Nodes NODES_OF_U = [] {
     Nodes nodes;
-    for (int k = 0; k < PLACES; k++)
+    for (int k = 0; k < MAX_NODES; k++)
         nodes.cosh[k] = std::cosh((k + 0.5) * STEP), nodes.sinh[k] = std::sinh((k + 0.5) * STEP);
     return nodes;
 }();
@@ -135,18 +135,18 @@ inline double square(Complex a) { return a.real * a.real + a.imag * a.imag; }
 struct BranchPoint {
     Complex middle;  // exp(i a)
     double b;
-    bool alone;
+    bool isolated;
 };
 
 // Computes a complex zero a + i b of wx + i wy by Newton's method. The first estimate is the time t
-// with exp(i t) = `start`. The result contains exp(i a) and |b|. `alone` is true if the method has
-// converged and no other zero is within `close` [rad]. The rows of `slip` (2 N + 1, 2) [m/s] are
-// the coefficients of sin 1..N and cos 1..N, and the constant term.
+// with exp(i t) = `start`. The result contains exp(i a) and |b|. `isolated` is true if the method
+// has converged and no other zero is within `close` [rad]. The rows of `slip` (2 N + 1, 2) [m/s]
+// are the coefficients of sin 1..N and cos 1..N, and the constant term.
 inline BranchPoint branch_point(View<const double, 2> slip, Complex start, double close) {
     const int number = slip.size(0) / 2;
     Complex z = start;  // the slip times z^N is a polynomial of z = exp(i t)
     Complex slope, bend;
-    double last = 1, off = 1;
+    double last = 1, radial_offset = 1;
     for (int step = 0; step < NEWTON_STEPS; step++) {
         Complex value;
         slope = bend = {};
@@ -167,42 +167,42 @@ inline BranchPoint branch_point(View<const double, 2> slip, Complex start, doubl
         }
         const Complex change = 1 / (square(slope) + 1e-300) * (value * conjugate(slope));
         z = z - change;
-        last = square(change), off = (square(z) - 1) / 2;
-        if (last < 1e-10 * off * off || last < 1e-24) break;
+        last = square(change), radial_offset = (square(z) - 1) / 2;
+        if (last < 1e-10 * radial_offset * radial_offset || last < 1e-24) break;
     }
     const double radius = std::sqrt(square(z)) + 1e-300;
-    const bool done = last < 1e-8 * off * off || last < 1e-22;
+    const bool done = last < 1e-8 * radial_offset * radial_offset || last < 1e-22;
     // At a zero z of the polynomial, bend / slope is the sum of 1 / (z - z_k) over all other zeros
     // z_k. The sum is large if another zero is close.
-    const bool lonely = square(bend) * close * close < square(slope);
-    return {1 / radius * z, std::max(std::abs(std::log(radius)), NARROWEST), done && lonely};
+    const bool isolated = square(bend) * close * close < square(slope);
+    return {1 / radius * z, std::max(std::abs(std::log(radius)), NARROWEST), done && isolated};
 }
 
 // Harmonic j of the slip. The time t is measured from a, the real part of a branch point. `even`
 // and `odd` are the coefficients (x, y) of cos j t and sin j t. `cosine` and `sine` are cos j a and
 // sin j a. `by_even` and `by_odd` are the derivatives (xx, xy, yy) of the integral with respect to
 // `even` and `odd`.
-struct Turned {
+struct ShiftedHarmonic {
     double even[2], odd[2], cosine, sine, by_even[3], by_odd[3];
 };
 
-inline std::vector<Turned> turned_to(View<const double, 2> slip, Complex middle) {
+inline std::vector<ShiftedHarmonic> shifted_harmonics(View<const double, 2> slip, Complex middle) {
     const int number = slip.size(0) / 2;
-    std::vector<Turned> turned(number + 1);
-    turned[0].even[0] = slip(2 * number, 0), turned[0].even[1] = slip(2 * number, 1);
-    turned[0].cosine = 1;
+    std::vector<ShiftedHarmonic> harmonics(number + 1);
+    harmonics[0].even[0] = slip(2 * number, 0), harmonics[0].even[1] = slip(2 * number, 1);
+    harmonics[0].cosine = 1;
     Complex wave{1, 0};
     for (int j = 1; j <= number; j++) {
         wave = wave * middle;
         const double c = wave.real, s = wave.imag;
         const double *by_sine = slip[j - 1], *by_cosine = slip[number + j - 1];
         for (int axis = 0; axis < 2; axis++) {
-            turned[j].even[axis] = by_sine[axis] * s + by_cosine[axis] * c;
-            turned[j].odd[axis] = by_sine[axis] * c - by_cosine[axis] * s;
+            harmonics[j].even[axis] = by_sine[axis] * s + by_cosine[axis] * c;
+            harmonics[j].odd[axis] = by_sine[axis] * c - by_cosine[axis] * s;
         }
-        turned[j].cosine = c, turned[j].sine = s;
+        harmonics[j].cosine = c, harmonics[j].sine = s;
     }
-    return turned;
+    return harmonics;
 }
 
 struct ComplexSlip {
@@ -211,18 +211,19 @@ struct ComplexSlip {
 };
 
 // Returns the slip at the complex time a + i depth, and exp(-n depth).
-inline ComplexSlip complex_slip(const std::vector<Turned>& turned, double depth, int n) {
+inline ComplexSlip complex_slip(const std::vector<ShiftedHarmonic>& harmonics, double depth,
+                                int n) {
     const double step = std::exp(-depth);
     double power = 1;
-    Complex x{turned[0].even[0], 0}, y{turned[0].even[1], 0};
-    const int number = static_cast<int>(turned.size()) - 1;
+    Complex x{harmonics[0].even[0], 0}, y{harmonics[0].even[1], 0};
+    const int number = static_cast<int>(harmonics.size()) - 1;
     for (int j = 1; j <= number; j++) {
         power *= step;
         const double ch = (1 / power + power) / 2, sh = (1 / power - power) / 2;
-        x.real += turned[j].even[0] * ch;
-        y.real += turned[j].even[1] * ch;
-        x.imag += turned[j].odd[0] * sh;
-        y.imag += turned[j].odd[1] * sh;
+        x.real += harmonics[j].even[0] * ch;
+        y.real += harmonics[j].even[1] * ch;
+        x.imag += harmonics[j].odd[0] * sh;
+        y.imag += harmonics[j].odd[1] * sh;
     }
     for (int m = number; m < n; m *= 2) power *= power;
     return {x, y, power};
@@ -238,21 +239,21 @@ inline Complex aliases(Complex q) {
 // Returns the complex value of 1 / sqrt(value) whose real part is positive.
 inline Complex inverse_root(Complex value) {
     const double size = std::sqrt(square(value));
-    const double real = std::sqrt((size + value.real) / 2), share = 1 / size;
-    return {real * share, -0.5 * value.imag / real * share};
+    const double real = std::sqrt((size + value.real) / 2), weight = 1 / size;
+    return {real * weight, -0.5 * value.imag / real * weight};
 }
 
 // Adds the contribution of one node of the sum over u to the derivatives of each harmonic j. (x, y)
-// is the slip at the node, and p is `share` times (y y, -x y, x x). The contribution is Re(p)
+// is the slip at the node, and p is `weight` times (y y, -x y, x x). The contribution is Re(p)
 // cosh(j depth) to `by_even`, and -Im(p) sinh(j depth) to `by_odd`.
-inline void add_slopes(Complex share, Complex x, Complex y, double depth,
-                       std::vector<Turned>& turned) {
-    const Complex by[3] = {share * y * y, -1 * share * x * y, share * x * x};
-    for (int j = 1; j < static_cast<int>(turned.size()); j++) {
+inline void add_slopes(Complex weight, Complex x, Complex y, double depth,
+                       std::vector<ShiftedHarmonic>& harmonics) {
+    const Complex by[3] = {weight * y * y, -1 * weight * x * y, weight * x * x};
+    for (int j = 1; j < static_cast<int>(harmonics.size()); j++) {
         const double ch = std::cosh(j * depth), sh = std::sinh(j * depth);
         for (int row = 0; row < 3; row++) {
-            turned[j].by_even[row] += by[row].real * ch;
-            turned[j].by_odd[row] -= by[row].imag * sh;
+            harmonics[j].by_even[row] += by[row].real * ch;
+            harmonics[j].by_odd[row] -= by[row].imag * sh;
         }
     }
 }
@@ -260,29 +261,30 @@ inline void add_slopes(Complex share, Complex x, Complex y, double depth,
 // Corrects the derivatives for the double pole of their integrand at u = 0. The nodes of the sum
 // over u begin half a step beside this pole. Therefore the sum differs from the integral by pi^2 /
 // STEP times the coefficient of the pole.
-inline void add_pole(Complex phase, double b, int n, std::vector<Turned>& turned) {
-    const ComplexSlip at = complex_slip(turned, b, n);
+inline void add_pole(Complex phase, double b, int n, std::vector<ShiftedHarmonic>& harmonics) {
+    const ComplexSlip at = complex_slip(harmonics, b, n);
     Complex dx, dy;  // derivative of the slip with respect to depth
-    for (int j = 1; j < static_cast<int>(turned.size()); j++) {
+    for (int j = 1; j < static_cast<int>(harmonics.size()); j++) {
         const double ch = j * std::cosh(j * b), sh = j * std::sinh(j * b);
-        dx = dx + Complex{turned[j].even[0] * sh, turned[j].odd[0] * ch};
-        dy = dy + Complex{turned[j].even[1] * sh, turned[j].odd[1] * ch};
+        dx = dx + Complex{harmonics[j].even[0] * sh, harmonics[j].odd[0] * ch};
+        dy = dy + Complex{harmonics[j].even[1] * sh, harmonics[j].odd[1] * ch};
     }
     const Complex root = inverse_root(-1 / b * (at.x * dx + at.y * dy));
     const double scale = 0.5 * (PI / STEP / b) * (PI / STEP / b);
-    const Complex share = scale * aliases(at.fade * phase) * root * root * root;
-    add_slopes(share, at.x, at.y, b, turned);
+    const Complex weight = scale * aliases(at.fade * phase) * root * root * root;
+    add_slopes(weight, at.x, at.y, b, harmonics);
 }
 
-// The derivatives in `turned` belong to harmonics whose time is measured from a. The function
+// The derivatives in `harmonics` belong to harmonics whose time is measured from a. The function
 // converts these derivatives to derivatives with respect to the slip's coefficients of sines and
 // cosines. The result is subtracted from `gradient` (3, 2 N).
-inline void take_off(const std::vector<Turned>& turned, View<double, 2> gradient) {
-    const int number = static_cast<int>(turned.size()) - 1;
+inline void subtract_slopes(const std::vector<ShiftedHarmonic>& harmonics,
+                            View<double, 2> gradient) {
+    const int number = static_cast<int>(harmonics.size()) - 1;
     for (int j = 1; j <= number; j++) {
-        const double c = WEIGHT * turned[j].cosine, s = WEIGHT * turned[j].sine;
+        const double c = WEIGHT * harmonics[j].cosine, s = WEIGHT * harmonics[j].sine;
         for (int row = 0; row < 3; row++) {
-            const double even = turned[j].by_even[row], odd = turned[j].by_odd[row];
+            const double even = harmonics[j].by_even[row], odd = harmonics[j].by_odd[row];
             gradient(row, j - 1) -= s * even + c * odd;
             gradient(row, number + j - 1) -= c * even - s * odd;
         }
@@ -292,7 +294,7 @@ inline void take_off(const std::vector<Turned>& turned, View<double, 2> gradient
 struct Excess {
     double x, y;
     // if false, the caller must use `by_panels`, for example because another dip is close
-    bool good;
+    bool valid;
 };
 
 // Computes the error [mu m g] of the average force over n equal steps that one dip causes. The dip
@@ -302,28 +304,28 @@ struct Excess {
 inline Excess excess(View<const double, 2> slip, Complex start, int n, View<double, 2> gradient) {
     const BranchPoint point = branch_point(slip, start, CLOSE * 2 * PI / n);
     const double b = point.b, farthest = 1.5 * 2 * PI / n;
-    if (!point.alone || square(point.middle - start) > farthest * farthest || n * b > 2 * NEAR)
+    if (!point.isolated || square(point.middle - start) > farthest * farthest || n * b > 2 * NEAR)
         return {0, 0, false};
-    std::vector<Turned> turned = turned_to(slip, point.middle);
-    const int number = static_cast<int>(turned.size()) - 1;
-    Complex phase{turned[number].cosine, turned[number].sine};
+    std::vector<ShiftedHarmonic> harmonics = shifted_harmonics(slip, point.middle);
+    const int number = static_cast<int>(harmonics.size()) - 1;
+    Complex phase{harmonics[number].cosine, harmonics[number].sine};
     for (int m = number; m < n; m *= 2) phase = phase * phase;  // exp(i n a)
     const bool sloped = gradient.size(0) > 0;
-    if (sloped) add_pole(phase, b, n, turned);
+    if (sloped) add_pole(phase, b, n, harmonics);
     double fx = 0, fy = 0;
-    for (int u = 0; u < PLACES; u++) {
+    for (int u = 0; u < MAX_NODES; u++) {
         const double depth = b * NODES_OF_U.cosh[u];
         if (n * depth > FADED) break;
-        const ComplexSlip at = complex_slip(turned, depth, n);
+        const ComplexSlip at = complex_slip(harmonics, depth, n);
         const double slope = b * NODES_OF_U.sinh[u], across = -1 / (slope * slope);
         const Complex value = across * (at.x * at.x + at.y * at.y);
         if (!(value.real > 0)) return {0, 0, false};
-        const Complex root = inverse_root(value), share = aliases(at.fade * phase) * root;
-        fx += (share * at.x).real;
-        fy += (share * at.y).real;
-        if (sloped) add_slopes(across * (share * root * root), at.x, at.y, depth, turned);
+        const Complex root = inverse_root(value), weight = aliases(at.fade * phase) * root;
+        fx += (weight * at.x).real;
+        fy += (weight * at.y).real;
+        if (sloped) add_slopes(across * (weight * root * root), at.x, at.y, depth, harmonics);
     }
-    if (sloped) take_off(turned, gradient);
+    if (sloped) subtract_slopes(harmonics, gradient);
     return {WEIGHT * fx, WEIGHT * fy, true};
 }
 

@@ -22,7 +22,8 @@ constexpr int DEGREE = 10;  // degree of the Taylor polynomials
 // - USUAL: the usual number of equal steps, without correction
 enum Grid { PANELS = -2, ADAPTIVE = -1, FEW = 0, USUAL = 1 };
 
-// Values of N harmonics at the sample points, and their Taylor coefficients. `Rules` in sinusoid_force.py describes the fields.
+// Values of N harmonics at the sample points, and their Taylor coefficients. `Rules` in
+// sinusoid_force.py describes the fields.
 struct Rules {
     View<const double, 2> waves;  // (2 N, K)
     int few;
@@ -58,10 +59,10 @@ struct Rules {
         x[0] = x[1] = slip(rows, 0) + Four{}, y[0] = y[1] = slip(rows, 1) + Four{};
         for (int j = 0; j < rows; j++) {
             const double *wave = waves[j] + start + k, ax = slip(j, 0), ay = slip(j, 1);
-            Four one, other;
-            load(one, wave), load(other, wave + 4);
-            x[0] += ax * one, y[0] += ay * one;
-            x[1] += ax * other, y[1] += ay * other;
+            Four first, second;
+            load(first, wave), load(second, wave + 4);
+            x[0] += ax * first, y[0] += ay * first;
+            x[1] += ax * second, y[1] += ay * second;
         }
         store(x[0], wx + k), store(x[1], wx + k + 4);
         store(y[0], wy + k), store(y[1], wy + k + 4);
@@ -97,13 +98,13 @@ struct Rules {
         Four by_even[3][2] = {}, by_odd[3][2] = {};
         for (int k = 0; k < n; k += EIGHT)
             for (int half = 0; half < 2; half++) {
-                const int at = k + 4 * half;
-                Four slope, one, other;
-                load(one, even + at), load(other, odd + at);
+                const int index = k + 4 * half;
+                Four slope, first, second;
+                load(first, even + index), load(second, odd + index);
                 for (int row = 0; row < 3; row++) {
-                    load(slope, work[row] + at);
-                    by_even[row][half] += slope * one;
-                    by_odd[row][half] += slope * other;
+                    load(slope, work[row] + index);
+                    by_even[row][half] += slope * first;
+                    by_odd[row][half] += slope * second;
                 }
             }
         for (int row = 0; row < 3; row++) {
@@ -131,9 +132,9 @@ PLATE_WIDE inline Force by_panels(View<const double, 2> slip, const Rules& rule,
             const double s = std::sin((j + 1) * middle), c = std::cos((j + 1) * middle);
             for (int axis = 0; axis < 2; axis++) {
                 const double a = slip(j, axis), b = slip(number + j, axis);
-                const double here = a * s + b * c, rate = a * c - b * s;
+                const double value = a * s + b * c, rate = a * c - b * s;
                 for (int m = 0; m <= DEGREE; m++)
-                    power[m][axis] += rule.taylor(m, j) * (m % 2 ? rate : here);
+                    power[m][axis] += rule.taylor(m, j) * (m % 2 ? rate : value);
             }
         }
         std::fill_n(&local[0][0], 3 * (DEGREE + 1), 0.0);
@@ -143,11 +144,11 @@ PLATE_WIDE inline Force by_panels(View<const double, 2> slip, const Rules& rule,
         for (int j = 0; j < (sloped ? number : 0); j++) {
             const double s = std::sin((j + 1) * middle), c = std::cos((j + 1) * middle);
             for (int row = 0; row < 3; row++) {
-                double here = 0, rate = 0;
+                double value = 0, rate = 0;
                 for (int m = 0; m <= DEGREE; m++)
-                    (m % 2 ? rate : here) += rule.taylor(m, j) * local[row][m];
-                gradient(row, j) += (here * s + rate * c) / rule.pieces;
-                gradient(row, number + j) += (here * c - rate * s) / rule.pieces;
+                    (m % 2 ? rate : value) += rule.taylor(m, j) * local[row][m];
+                gradient(row, j) += (value * s + rate * c) / rule.pieces;
+                gradient(row, number + j) += (value * c - rate * s) / rule.pieces;
             }
         }
     }
@@ -173,9 +174,9 @@ PLATE_WIDE inline Force force_of(View<const double, 2> slip, const Rules& rule, 
     }
     for (int dip = 0; dip < dips; dip++) {
         const int k = start + static_cast<int>(work(4, dip));
-        const near_zero_slip::Complex at{rule.waves(half_rows, k), rule.waves(0, k)};
-        const near_zero_slip::Excess more = near_zero_slip::excess(slip, at, n, gradient);
-        if (!more.good) return by_panels(slip, rule, gradient);
+        const near_zero_slip::Complex start_point{rule.waves(half_rows, k), rule.waves(0, k)};
+        const near_zero_slip::Excess more = near_zero_slip::excess(slip, start_point, n, gradient);
+        if (!more.valid) return by_panels(slip, rule, gradient);
         force.x -= more.x;
         force.y -= more.y;
     }

@@ -20,12 +20,22 @@ namespace plate::averages {
 using namespace sinusoids;
 
 // Options of a Levenberg-Marquardt search that starts at a random motion.
-constexpr Damping AFRESH{.first = 1.25e-3, .minimum = 1e-9, .maximum = 1e2, .shrink = 8.0, .grow = 6.0,
-                         .stall_steps = 6, .stall_fraction = 0.7};
+constexpr Damping FROM_RANDOM{.first = 1.25e-3,
+                              .minimum = 1e-9,
+                              .maximum = 1e2,
+                              .shrink = 8.0,
+                              .grow = 6.0,
+                              .stall_steps = 6,
+                              .stall_fraction = 0.7};
 
 // Options of a Levenberg-Marquardt search that starts near a solution.
-constexpr Damping NEAR{.first = 1.25e-5, .minimum = 1e-9, .maximum = 1e2, .shrink = 8.0, .grow = 6.0,
-                       .stall_steps = 6, .stall_fraction = 0.7};
+constexpr Damping FROM_SIMILAR{.first = 1.25e-5,
+                               .minimum = 1e-9,
+                               .maximum = 1e2,
+                               .shrink = 8.0,
+                               .grow = 6.0,
+                               .stall_steps = 6,
+                               .stall_fraction = 0.7};
 
 constexpr int FIRST = 0;  // number of the first start
 
@@ -105,11 +115,18 @@ class Inversion {
 public:
     // `pool` (S, 3 h) contains the parameters of S random motions.
     Inversion(const Motions& motions, View<const double, 2> pool, const Request& request)
-        : motions(motions), rules(motions.rules()), pool(pool), request(request),
+        : motions(motions),
+          rules(motions.rules()),
+          pool(pool),
+          request(request),
           size(motions.size()),
-          parts(request.position.size(0)), slip_rows(motions.span.rows + 1, 2),
-          samples_of(5, motions.waves.columns), gradient(3, motions.span.rows), own(size, 3),
-          coefficients(motions.span.rows, 3), by_span(3, size) {
+          parts(request.position.size(0)),
+          slip_rows(motions.span.rows + 1, 2),
+          samples_of(5, motions.waves.columns),
+          gradient(3, motions.span.rows),
+          basis_coefficients(size, 3),
+          wave_coefficients(motions.span.rows, 3),
+          by_span(3, size) {
         const double* velocity = request.velocity.data;
         moving = std::any_of(velocity, velocity + 2 * parts, [](double v) { return v != 0; });
         requested.assign(request.force.data, request.force.data + 2 * parts);
@@ -119,23 +136,23 @@ public:
     // parameters of the previous solution, or is null if there is no previous solution.
     InversionResult invert(const double* warm) {
         is_warm = warm;
-        auto [fit, done, tried] =
-            search(warm ? std::vector<double>(warm, warm + 3 * size) : fresh(FIRST));
-        InversionResult found = finished(fit, done, tried);
-        if (found.worst > request.tolerance && worst(fit.error) <= request.tolerance) {
-            fit = descend(PANELS, requested, fit.parameters, NEAR, request.tolerance / 3,
+        auto [fit, steps, tried] =
+            search(warm ? std::vector<double>(warm, warm + 3 * size) : random_start(FIRST));
+        InversionResult result = finished(fit, steps, tried);
+        if (result.worst > request.tolerance && worst(fit.error) <= request.tolerance) {
+            fit = descend(PANELS, requested, fit.parameters, FROM_SIMILAR, request.tolerance / 3,
                           request.iterations);
-            done += fit.iterations;
-            found = finished(fit, done, tried);
+            steps += fit.iterations;
+            result = finished(fit, steps, tried);
         }
-        if (found.worst > request.tolerance && worst(fit.error) <= request.tolerance) {
+        if (result.worst > request.tolerance && worst(fit.error) <= request.tolerance) {
             // The error of the finished motion exceeds the tolerance: search again from other
             // starts.
-            is_warm = false, backwards = true;
-            const auto [other, more, others] = search(fresh(FIRST));
-            found = finished(other, done + more, tried + others);
+            is_warm = false, reverse_order = true;
+            const auto [next_fit, more_steps, more_tries] = search(random_start(FIRST));
+            result = finished(next_fit, steps + more_steps, tried + more_tries);
         }
-        return found;
+        return result;
     }
 
 private:
@@ -145,13 +162,14 @@ private:
     const Request request;
     const int size, parts;
     // If `backwards` is true, the search uses the random motions in reverse order.
-    bool moving, is_warm = false, backwards = false;
+    bool moving, is_warm = false, reverse_order = false;
     std::vector<double> requested;
-    Matrix slip_rows, samples_of, gradient, own, coefficients, by_span, now;  // buffers
+    Matrix slip_rows, samples_of, gradient, basis_coefficients, wave_coefficients, by_span,
+        force_jacobian;  // buffers
     SampledMotion checked;
 
     const double* random(int number) const {
-        return pool[backwards ? pool.size(0) - 1 - number : number];
+        return pool[reverse_order ? pool.size(0) - 1 - number : number];
     }
 
     // Result of one start: motion, cost, number of steps, and whether all errors are within the
@@ -173,20 +191,21 @@ private:
     // ends after `HOPS` consecutive perturbations without success. Then a new round begins at a
     // random motion.
     Searched search(const std::vector<double>& begin) {
-        Attempted now = attempted(begin, FIRST, std::numeric_limits<double>::infinity());
-        Attempted near = now;
-        Searched all{now.fit, now.steps, FIRST + 1};
-        double minimum = now.cost;
+        Attempted last = attempted(begin, FIRST, std::numeric_limits<double>::infinity());
+        Attempted near = last;
+        Searched all{last.fit, last.steps, FIRST + 1};
+        double minimum = last.cost;
         int failed = 0;
-        while (!now.enough && all.tried < request.tries) {
-            const bool afresh = failed >= HOPS;
-            now = attempted(afresh ? led(all.tried) : disturbed(all.tried, near.fit.parameters),
-                            all.tried, minimum);
-            all.steps += now.steps;
+        while (!last.enough && all.tried < request.tries) {
+            const bool new_round = failed >= HOPS;
+            last = attempted(
+                new_round ? continued_start(all.tried) : perturbed(all.tried, near.fit.parameters),
+                all.tried, minimum);
+            all.steps += last.steps;
             all.tried++;
-            if (now.enough || now.cost < minimum) all.best = now.fit, minimum = now.cost;
-            failed = afresh || now.cost < BETTER * near.cost ? 0 : failed + 1;
-            if (now.cost < near.cost || afresh) near = now;
+            if (last.enough || last.cost < minimum) all.best = last.fit, minimum = last.cost;
+            failed = new_round || last.cost < BETTER * near.cost ? 0 : failed + 1;
+            if (last.cost < near.cost || new_round) near = last;
         }
         return all;
     }
@@ -197,46 +216,47 @@ private:
     // continues with ADAPTIVE. `minimum` is the minimum cost of all previous starts.
     Attempted attempted(const std::vector<double>& start, int number, double minimum) {
         const double tolerance = request.tolerance;
-        const bool known = number == FIRST && is_warm;
-        Fit fit = descend(known ? ADAPTIVE : USUAL, requested, start, known ? NEAR : AFRESH,
-                          tolerance / 3, request.iterations);
-        int done = fit.iterations;
-        double cost = squared(fit.error), greatest = worst(fit.error);
-        if (greatest <= tolerance || cost < minimum) {
+        const bool from_previous = number == FIRST && is_warm;
+        Fit fit =
+            descend(from_previous ? ADAPTIVE : USUAL, requested, start,
+                    from_previous ? FROM_SIMILAR : FROM_RANDOM, tolerance / 3, request.iterations);
+        int steps = fit.iterations;
+        double cost = squared(fit.error), max_error = worst(fit.error);
+        if (max_error <= tolerance || cost < minimum) {
             cost = force_error(ADAPTIVE, requested, fit.parameters, fit.error, nullptr);
-            if (greatest <= 30 * tolerance && worst(fit.error) > SURE * tolerance) {
-                fit = descend(ADAPTIVE, requested, fit.parameters, NEAR, tolerance / 3,
+            if (max_error <= 30 * tolerance && worst(fit.error) > SURE * tolerance) {
+                fit = descend(ADAPTIVE, requested, fit.parameters, FROM_SIMILAR, tolerance / 3,
                               request.iterations);
-                done += fit.iterations;
+                steps += fit.iterations;
                 cost = squared(fit.error);
             }
         }
-        greatest = worst(fit.error);
-        return {std::move(fit), cost, done, greatest <= tolerance};
+        max_error = worst(fit.error);
+        return {std::move(fit), cost, steps, max_error <= tolerance};
     }
 
-    std::vector<double> disturbed(int number, std::vector<double> theta) const {
+    std::vector<double> perturbed(int number, std::vector<double> theta) const {
         const double hop = HOP * std::sqrt(squared(theta) / static_cast<double>(theta.size()));
-        const double* way = random(number % pool.size(0));
-        for (int p = 0; p < 3 * size; p++) theta[p] += hop * way[p];
+        const double* direction = random(number % pool.size(0));
+        for (int p = 0; p < 3 * size; p++) theta[p] += hop * direction[p];
         return theta;
     }
 
     // Returns the start of a new round: a random motion, adapted by a continuation with increasing
     // fractions of the requested forces.
-    std::vector<double> led(int number) {
-        std::vector<double> theta = fresh(number), part = requested;
-        const double left = LEG_ERROR * std::sqrt(squared(requested) / (2 * parts));
+    std::vector<double> continued_start(int number) {
+        std::vector<double> theta = random_start(number), part = requested;
+        const double leg_tolerance = LEG_ERROR * std::sqrt(squared(requested) / (2 * parts));
         for (int leg = 1; leg < LEGS; leg++) {
             for (int r = 0; r < 2 * parts; r++) part[r] = requested[r] * leg / LEGS;
-            theta = descend(USUAL, part, theta, AFRESH, left, LEG_STEPS).parameters;
+            theta = descend(USUAL, part, theta, FROM_RANDOM, leg_tolerance, LEG_STEPS).parameters;
         }
         return theta;
     }
 
     // Compares some random motions of the pool and their opposites, which are the motions times -1.
     // Returns the motion with the smallest force error.
-    std::vector<double> fresh(int number) {
+    std::vector<double> random_start(int number) {
         const int count = pool.size(0), maximum = motions.candidates;
         // Every round compares other motions of the pool.
         const int first = number / (HOPS + 1) * maximum % count;
@@ -269,17 +289,17 @@ private:
             if (moving) to_full_amplitude(trial);
             // The same call computes the derivatives for `slopes`, because the derivatives add
             // little computing time.
-            force_error(grid, force, trial, error, &now);
+            force_error(grid, force, trial, error, &force_jacobian);
         };
-        const auto slopes = [&](Matrix& jacobian) { std::swap(jacobian, now); };
+        const auto slopes = [&](Matrix& jacobian) { std::swap(jacobian, force_jacobian); };
         return levenberg_marquardt<double>(evaluate, slopes, std::move(theta), damping, tolerance,
                                            iterations);
     }
 
     // Converts parameters (3 h,) to the coefficients (h, 3) of the basis motions.
     void set_coefficients(const std::vector<double>& theta) {
-        std::copy(theta.begin(), theta.end(), own[0]);
-        for (int h = 0; h < size; h++) own[h][2] /= motions.limits.arm_m;
+        std::copy(theta.begin(), theta.end(), basis_coefficients[0]);
+        for (int h = 0; h < size; h++) basis_coefficients[h][2] /= motions.limits.arm_m;
     }
 
     // Scales the parameters so that the sampled motion exactly reaches the most restrictive limit
@@ -292,7 +312,7 @@ private:
     }
 
     double use_of(const SampledBasis& basis, View<const double, 1> weight, bool linear) {
-        sample_motion(own[0], basis, checked);
+        sample_motion(basis_coefficients[0], basis, checked);
         return limit_use(samples(checked.pose), samples(checked.twist), samples(checked.accel),
                          weight, motions.limits, linear);
     }
@@ -305,13 +325,13 @@ private:
                        Matrix* jacobian) {
         const Matrix& span = motions.span;
         const int waves = span.rows;
-        const double turn = 1 / motions.limits.arm_m;
+        const double per_arm = 1 / motions.limits.arm_m;
         set_coefficients(theta);
         for (int j = 0; j < waves; j++)
             for (int c = 0; c < 3; c++) {
                 double total = 0;
-                for (int h = 0; h < size; h++) total += span[j][h] * own[h][c];
-                coefficients[j][c] = total;
+                for (int h = 0; h < size; h++) total += span[j][h] * basis_coefficients[h][c];
+                wave_coefficients[j][c] = total;
             }
         const View<double, 2> slip{slip_rows[0], {waves + 1, 2}};
         const View<double, 2> work{samples_of[0], {5, samples_of.columns}};
@@ -320,19 +340,20 @@ private:
         if (jacobian) jacobian->resize(2 * parts, 3 * size);
         double cost = 0;
         for (int i = 0; i < parts; i++) {
-            const double *place = request.position[i], *velocity = request.velocity[i];
-            slip_at({coefficients[0], {waves, 3}}, place[0], place[1], velocity[0], velocity[1],
-                    slip);
-            const Force got = force_of({slip.data, slip.shape}, rules, grid, work, by_slip);
-            error[2 * i] = force[2 * i] - got.x, error[2 * i + 1] = force[2 * i + 1] - got.y;
+            const double *position = request.position[i], *velocity = request.velocity[i];
+            slip_at({wave_coefficients[0], {waves, 3}}, position[0], position[1], velocity[0],
+                    velocity[1], slip);
+            const Force mean_force = force_of({slip.data, slip.shape}, rules, grid, work, by_slip);
+            error[2 * i] = force[2 * i] - mean_force.x,
+                      error[2 * i + 1] = force[2 * i + 1] - mean_force.y;
             cost += error[2 * i] * error[2 * i] + error[2 * i + 1] * error[2 * i + 1];
             if (!jacobian) continue;
             for (int row = 0; row < 3; row++) {
                 double* __restrict sum = by_span[row];
                 std::fill_n(sum, size, 0.0);
                 for (int j = 0; j < waves; j++) {
-                    const double each = gradient[row][j], *__restrict basis = span[j];
-                    for (int h = 0; h < size; h++) sum[h] += each * basis[h];
+                    const double factor = gradient[row][j], *__restrict basis = span[j];
+                    for (int h = 0; h < size; h++) sum[h] += factor * basis[h];
                 }
             }
             for (int axis = 0; axis < 2; axis++) {
@@ -341,7 +362,7 @@ private:
                 for (int h = 0; h < size; h++) {
                     row[3 * h] = by_x[h];
                     row[3 * h + 1] = by_y[h];
-                    row[3 * h + 2] = (place[0] * by_y[h] - place[1] * by_x[h]) * turn;
+                    row[3 * h + 2] = (position[0] * by_y[h] - position[1] * by_x[h]) * per_arm;
                 }
             }
         }
@@ -350,32 +371,32 @@ private:
 
     // Converts parameters to a spline within the limits, and evaluates its forces.
     InversionResult finished(const Fit& fit, int iterations, int tries) {
-        InversionResult found{.theta = fit.parameters, .iterations = iterations, .tries = tries};
-        to_full_amplitude(found.theta);
-        set_coefficients(found.theta);
+        InversionResult result{.theta = fit.parameters, .iterations = iterations, .tries = tries};
+        to_full_amplitude(result.theta);
+        set_coefficients(result.theta);
         // Four rounds suffice, because the utilisation of the limits is nearly proportional to the
         // factor. Only the rotation of the plate has a quadratic effect.
         for (int round = 0; round < 4; round++) {
             const double used = SEARCH_USE * use_of(motions.hull, {HULL_WEIGHT, {5}}, false);
             if (used <= CYCLE_USE) break;
             const double factor = 0.9999 * CYCLE_USE / used;
-            for (int k = 0; k < 3 * size; k++) own[0][k] *= factor;
+            for (int k = 0; k < 3 * size; k++) basis_coefficients[0][k] *= factor;
         }
-        sample_motion(own[0], motions.knots, found.knots);
+        sample_motion(basis_coefficients[0], motions.knots, result.knots);
         const int powers = motions.spline.columns, pieces = powers / 6;
         Matrix spline;
-        combine(own[0], motions.spline, spline);
-        found.spline.resize(3 * powers);
+        combine(basis_coefficients[0], motions.spline, spline);
+        result.spline.resize(3 * powers);
         for (int k = 0; k < powers; k++)
-            for (int c = 0; c < 3; c++) found.spline[3 * k + c] = spline[c][k];
+            for (int c = 0; c < 3; c++) result.spline[3 * k + c] = spline[c][k];
         Matrix force(parts, 2);
-        spline_force(motions.times.data(), {found.spline.data(), {pieces, 6, 3}},
-                     request.position, request.velocity, {force[0], {parts, 2}});
-        found.error.resize(2 * parts);
-        for (int r = 0; r < 2 * parts; r++) found.error[r] = requested[r] - force[0][r];
-        found.worst = worst(found.error);
-        found.condition = condition_of(fit.jacobian);
-        return found;
+        spline_force(motions.times.data(), {result.spline.data(), {pieces, 6, 3}}, request.position,
+                     request.velocity, {force[0], {parts, 2}});
+        result.error.resize(2 * parts);
+        for (int r = 0; r < 2 * parts; r++) result.error[r] = requested[r] - force[0][r];
+        result.worst = worst(result.error);
+        result.condition = condition_of(fit.jacobian);
+        return result;
     }
 };
 

@@ -163,21 +163,21 @@ PLATE_WIDE inline double greatest_triple(const double* values, int points) {
     return triple;
 }
 
-// The largest result of `greatest_triple` for several great circles. `places` contains the index of
-// the circle and the indices of its three points.
+// The largest result of `greatest_triple` for several great circles. `indices` contains the index
+// of the circle and the indices of its three points.
 struct Best {
     double triple;
-    std::array<int, 4> places;
+    std::array<int, 4> indices;
 };
 
 // Returns the indices of the three points on a great circle that belong to the result of
 // `greatest_triple`.
-inline std::array<int, 3> places_of(const double* values, int points) {
+inline std::array<int, 3> indices_of(const double* values, int points) {
     const int half = points / 2, reach = half + 1;
     std::vector<double> running(reach + 1);
     std::vector<int> where(reach + 1);
     double triple = NOTHING;
-    std::array<int, 3> places{};
+    std::array<int, 3> indices{};
     for (int m = 0; m < points; m++) {
         const int opposite = (m + half) % points;
         for (int a = 0; a <= reach; a++) {
@@ -189,26 +189,26 @@ inline std::array<int, 3> places_of(const double* values, int points) {
         for (int a = 0; a <= reach; a++) {
             const int k = (m + a) % points;
             const double total = values[k] + running[reach - a] + values[opposite];
-            if (total > triple) triple = total, places = {k, where[reach - a], opposite};
+            if (total > triple) triple = total, indices = {k, where[reach - a], opposite};
         }
     }
-    return places;
+    return indices;
 }
 
 // Returns the largest result of `greatest_triple` for Q great circles with values (Q, C), and the
 // indices of its points.
 inline Best best_triple(View<const double, 2> value) {
     const int points = value.size(1);
-    Best found{NOTHING, {}};
+    Best best{NOTHING, {}};
     for (int q = 0; q < value.size(0); q++) {
         const double triple = greatest_triple(value[q], points);
-        if (triple > found.triple) found.triple = triple, found.places[0] = q;
+        if (triple > best.triple) best.triple = triple, best.indices[0] = q;
     }
     if (value.size(0)) {
-        const std::array<int, 3> places = places_of(value[found.places[0]], points);
-        std::copy_n(places.begin(), 3, found.places.begin() + 1);
+        const std::array<int, 3> indices = indices_of(value[best.indices[0]], points);
+        std::copy_n(indices.begin(), 3, best.indices.begin() + 1);
     }
-    return found;
+    return best;
 }
 
 // Returns whether T is proven to be below `limit` on all great circles. Each row of `cells` (Q, 4)

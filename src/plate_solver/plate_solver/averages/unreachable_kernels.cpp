@@ -8,10 +8,10 @@ void bind_unreachable(nb::module_& m) {
     m.def("circles", [](Table cells) {
         check("cells", cells, {cells.shape(0), 4});
         const size_t count = cells.shape(0), points = unreachable::POINTS;
-        std::vector<double> places(3 * count * points);
-        unreachable::circles(view(cells), {places.data(), {static_cast<int>(count),
-                                                           unreachable::POINTS, 3}});
-        return to_numpy<3>(std::move(places), {count, points, 3});
+        std::vector<double> circle_points(3 * count * points);
+        unreachable::circles(
+            view(cells), {circle_points.data(), {static_cast<int>(count), unreachable::POINTS, 3}});
+        return to_numpy<3>(std::move(circle_points), {count, points, 3});
     });
     m.def("unit_slips", [](Box twists, Table position, double arm_m) {
         const size_t circles = twists.shape(0), points = twists.shape(1), parts = position.shape(0);
@@ -33,8 +33,8 @@ void bind_unreachable(nb::module_& m) {
             nb::gil_scoped_release others_may_run;
             found = unreachable::best_triple(view(value));
         }
-        const auto& [circle, one, two, three] = found.places;
-        return nb::make_tuple(found.triple, nb::make_tuple(circle, one, two, three));
+        const auto& [circle, first, second, opposite] = found.indices;
+        return nb::make_tuple(found.triple, nb::make_tuple(circle, first, second, opposite));
     });
     m.def("proves", [](Table cells, Table position, double arm_m, Numbers separating,
                        double limit) {

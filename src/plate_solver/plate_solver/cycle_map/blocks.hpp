@@ -23,8 +23,8 @@ namespace blocks {
 constexpr int X = 0, Y = LANES, VX = 2 * LANES, VY = 3 * LANES, BOUND = 4 * LANES;
 
 // Offsets in the data that `trace` stores for each time step and block. The data are the derivative
-// of the velocity change with respect to the slip velocity, and the vector from the plate's centre
-// to the part [m].
+// D of the velocity change with respect to the slip velocity, and the vector from the plate's
+// centre to the part [m].
 constexpr int XX = 0, XY = LANES, YY = 2 * LANES, ARM_X = 3 * LANES, ARM_Y = 4 * LANES;
 
 // Value that is added to the squared slip velocity [m2/s2], to prevent 0/0 if the slip is zero.
@@ -70,17 +70,20 @@ PLATE_WIDE inline void trace(View<float, 2> state, SamplesOf<float> pose, Sample
 // twist. The positions are extrapolated with the final velocity by `coast` [s]. The derivatives
 // include the change of the pose, because the pose is the integral of the twist. The steps are
 // divided into bins of equal size. Each derivative is the sum over the steps of a bin.
+// `end_state_gradient` (stick_slip.hpp) describes the equations of the backward pass. Here, (x, y)
+// and (vx, vy) are the derivatives with respect to the part's position and velocity.
 PLATE_WIDE inline void adjoint(View<const float, 3> steps, SamplesOf<float> twist, float dt,
                                float coast, View<float, 4> by_twist) {
     using namespace blocks;
-    const int bins = by_twist.size(0), each = twist.count / bins;
+    const int bins = by_twist.size(0), bin_steps = twist.count / bins;
     for (int block = 0; block < steps.size(1); block++)
         for (int axis = 0; axis < 2; axis++) {
-            const Eight end_x = Eight{} + (axis == 0 ? 1.0f : 0.0f), end_y = Eight{} + (axis == 1 ? 1.0f : 0.0f);
+            const Eight end_x = Eight{} + (axis == 0 ? 1.0f : 0.0f);
+            const Eight end_y = Eight{} + (axis == 1 ? 1.0f : 0.0f);
             Eight x = end_x, y = end_y, vx = coast * x, vy = coast * y;
             for (int bin = bins - 1; bin >= 0; bin--) {
                 Eight on_u{}, on_v{}, on_w{};
-                for (int k = (bin + 1) * each - 1; k >= bin * each; k--) {
+                for (int k = (bin + 1) * bin_steps - 1; k >= bin * bin_steps; k--) {
                     const float w = twist(k, 2);
                     const float* step = &steps(k, block, 0);
                     Eight xx, xy, yy, arm_x, arm_y;

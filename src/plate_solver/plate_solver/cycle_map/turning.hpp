@@ -40,6 +40,15 @@ constexpr double TINY = 1e-30;
 
 // Variant of `trace` for parts that rotate. `state` has the shape (b, TURNING_STATE), and `steps`
 // has the shape (n, b, TURNING_TRACE).
+//
+// Let (dx, dy) be the slip velocity, dw the relative spin, and G = Sxx + Syy the squared radius of
+// gyration. turning.py describes the friction model. In a step, velocity and spin change by
+//
+//     gain (dx, dy, j/G dw),    gain = min(1, mu g dt / q),    q^2 = dx^2 + dy^2 + j dw^2
+//
+// j depends on the direction of the slip and has the derivatives jx, jy. The derivatives of q^2/2
+// with respect to (dx, dy, dw) are (bx, by, j dw). If the part slips, those of the gain are
+// -gain/q^2 (bx, by, j dw); `gain_drop` is gain/q^2. If the part sticks, the gain is constant.
 PLATE_WIDE inline void trace_turning(View<float, 2> state, SamplesOf<float> pose,
                                      SamplesOf<float> twist, float dt, View<float, 3> steps) {
     using namespace turning;
@@ -66,19 +75,20 @@ PLATE_WIDE inline void trace_turning(View<float, 2> state, SamplesOf<float> pose
                 float g = parts[BOUND + i] * inverse;
                 const float slips = g < 1 ? 1.0f : 0.0f;
                 g = std::min(g, 1.0f);
-                const float down = g * inverse * inverse * slips;
+                const float gain_drop = g * inverse * inverse * slips;
                 const float bx = dx + 0.5f * dw * dw * jx, by = dy + 0.5f * dw * dw * jy;
-                const float lever = j * by_gyration2, turns = dw * by_gyration2;
-                step[i] = g - down * dx * bx, step[LANES + i] = -down * dx * by;
-                step[2 * LANES + i] = -down * dx * j * dw;
-                step[3 * LANES + i] = -down * dy * bx, step[4 * LANES + i] = g - down * dy * by;
-                step[5 * LANES + i] = -down * dy * j * dw;
-                step[6 * LANES + i] = turns * (g * jx - down * j * bx);
-                step[7 * LANES + i] = turns * (g * jy - down * j * by);
-                step[8 * LANES + i] = lever * (g - down * dw * j * dw);
+                const float j_ratio = j * by_gyration2, dw_ratio = dw * by_gyration2;
+                step[i] = g - gain_drop * dx * bx, step[LANES + i] = -gain_drop * dx * by;
+                step[2 * LANES + i] = -gain_drop * dx * j * dw;
+                step[3 * LANES + i] = -gain_drop * dy * bx;
+                step[4 * LANES + i] = g - gain_drop * dy * by;
+                step[5 * LANES + i] = -gain_drop * dy * j * dw;
+                step[6 * LANES + i] = dw_ratio * (g * jx - gain_drop * j * bx);
+                step[7 * LANES + i] = dw_ratio * (g * jy - gain_drop * j * by);
+                step[8 * LANES + i] = j_ratio * (g - gain_drop * dw * j * dw);
                 step[ARM_X + i] = rx, step[ARM_Y + i] = ry;
                 const float vx = parts[VX + i] + g * dx, vy = parts[VY + i] + g * dy;
-                const float spin = parts[SPIN + i] + g * lever * dw;
+                const float spin = parts[SPIN + i] + g * j_ratio * dw;
                 parts[VX + i] = vx, parts[VY + i] = vy, parts[SPIN + i] = spin;
                 parts[X + i] += dt * vx, parts[Y + i] += dt * vy, parts[TURN + i] += dt * spin;
             }
@@ -91,15 +101,16 @@ PLATE_WIDE inline void trace_turning(View<float, 2> state, SamplesOf<float> pose
 PLATE_WIDE inline void adjoint_turning(View<const float, 3> steps, SamplesOf<float> twist, float dt,
                                        float coast, View<float, 4> by_twist) {
     using namespace turning;
-    const int bins = by_twist.size(0), each = twist.count / bins;
+    const int bins = by_twist.size(0), bin_steps = twist.count / bins;
     for (int block = 0; block < steps.size(1); block++)
         for (int axis = 0; axis < 3; axis++) {
-            const Eight end_x = Eight{} + (axis == 0 ? 1.0f : 0.0f), end_y = Eight{} + (axis == 1 ? 1.0f : 0.0f);
+            const Eight end_x = Eight{} + (axis == 0 ? 1.0f : 0.0f);
+            const Eight end_y = Eight{} + (axis == 1 ? 1.0f : 0.0f);
             const Eight turn = Eight{} + (axis == 2 ? 1.0f : 0.0f);
             Eight x = end_x, y = end_y, vx = coast * x, vy = coast * y, spin = coast * turn;
             for (int bin = bins - 1; bin >= 0; bin--) {
                 Eight on_u{}, on_v{}, on_w{};
-                for (int k = (bin + 1) * each - 1; k >= bin * each; k--) {
+                for (int k = (bin + 1) * bin_steps - 1; k >= bin * bin_steps; k--) {
                     const float s = twist(k, 2);
                     const float* step = &steps(k, block, 0);
                     Eight d[9], arm_x, arm_y;
@@ -154,7 +165,7 @@ inline void put_rotations(View<const double, 1> spin, View<const double, 2> spre
 PLATE_WIDE inline void end_turning(Matrix& parts, Samples pose, Samples twist, const double* dt) {
     using namespace end_turning_rows;
     using turning::SLOW2, turning::TINY;
-    const int wide = parts.columns;
+    const int width = parts.columns;
     double *__restrict px = parts[X], *__restrict py = parts[Y], *__restrict angle = parts[TURN];
     double *__restrict vx = parts[VX], *__restrict vy = parts[VY], *__restrict w = parts[SPIN];
     const double *__restrict xx = parts[SXX], *__restrict xy = parts[SXY];
@@ -163,7 +174,7 @@ PLATE_WIDE inline void end_turning(Matrix& parts, Samples pose, Samples twist, c
         const double u = twist(k, 0), v = twist(k, 1), s = twist(k, 2), h = dt[k];
         const double x = pose(k, 0), y = pose(k, 1);
 #pragma omp simd
-        for (int i = 0; i < wide; i++) {
+        for (int i = 0; i < width; i++) {
             const double dw = s - w[i], gyration2 = xx[i] + yy[i];
             const double dx = u - s * (py[i] - y) - vx[i], dy = v + s * (px[i] - x) - vy[i];
             const double square = dx * dx + dy * dy;
@@ -181,26 +192,27 @@ PLATE_WIDE inline void end_turning(Matrix& parts, Samples pose, Samples twist, c
     }
 }
 
-// Variant of `end_state_gradient` for positions and rotations. The shapes are `by_pose` (2, n, 3
-// M), `by_twist` (3, n, 3 M) and `by_dt` (n, 3 M).
+// Variant of `end_state_gradient` for positions and rotations. `trace_turning` describes the
+// derivatives of a step, and `end_state_gradient` describes the backward pass. The shapes are
+// `by_pose` (2, n, 3 M), `by_twist` (3, n, 3 M) and `by_dt` (n, 3 M).
 PLATE_WIDE inline void end_turning_gradient(Matrix& parts, int count, Samples pose, Samples twist,
                                             const double* dt, double coast, Matrix& past,
                                             View<double, 3> by_pose, View<double, 3> by_twist,
                                             View<double, 2> by_dt) {
     using namespace end_turning_rows;
     using turning::SLOW2, turning::TINY;
-    const int wide = parts.columns, n = twist.count;
+    const int width = parts.columns, n = twist.count;
     double *__restrict px = parts[X], *__restrict py = parts[Y], *__restrict angle = parts[TURN];
     double *__restrict vx = parts[VX], *__restrict vy = parts[VY], *__restrict w = parts[SPIN];
     const double *__restrict xx = parts[SXX], *__restrict xy = parts[SXY];
     const double *__restrict yy = parts[SYY], *__restrict accel = parts[ACCEL];
-    past.resize(n * PAST, wide);
+    past.resize(n * PAST, width);
     for (int k = 0; k < n; k++) {
         const double u = twist(k, 0), v = twist(k, 1), s = twist(k, 2), h = dt[k];
         const double x = pose(k, 0), y = pose(k, 1);
         double* __restrict stored = past[k * PAST];
 #pragma omp simd
-        for (int i = 0; i < wide; i++) {
+        for (int i = 0; i < width; i++) {
             double* part = stored + i;
             const double rx = px[i] - x, ry = py[i] - y, dw = s - w[i];
             const double dx = u - s * ry - vx[i], dy = v + s * rx - vy[i];
@@ -213,26 +225,25 @@ PLATE_WIDE inline void end_turning_gradient(Matrix& parts, int count, Samples po
             const bool slips = q > bound;
             const double inverse = 1 / (std::max(q, bound) + TINY);
             const double g = bound * inverse;
-            const double down = slips ? g * inverse * inverse : 0.0;  // minus d gain / d (q^2/2)
-            // (bx, by) is the derivative of q^2/2 with respect to the slip velocity (dx, dy).
+            const double gain_drop = slips ? g * inverse * inverse : 0.0;
             const double bx = dx + 0.5 * dw * dw * jx, by = dy + 0.5 * dw * dw * jy;
-            const double lever = j / gyration2, turns = dw / gyration2;
-            part[0] = g - down * dx * bx, part[wide] = -down * dx * by;
-            part[2 * wide] = -down * dx * j * dw;
-            part[3 * wide] = -down * dy * bx, part[4 * wide] = g - down * dy * by;
-            part[5 * wide] = -down * dy * j * dw;
-            part[6 * wide] = turns * (g * jx - down * j * bx);
-            part[7 * wide] = turns * (g * jy - down * j * by);
-            part[8 * wide] = lever * (g - down * dw * j * dw);
-            part[ARM_X * wide] = rx, part[ARM_Y * wide] = ry;
+            const double j_ratio = j / gyration2, dw_ratio = dw / gyration2;
+            part[0] = g - gain_drop * dx * bx, part[width] = -gain_drop * dx * by;
+            part[2 * width] = -gain_drop * dx * j * dw;
+            part[3 * width] = -gain_drop * dy * bx, part[4 * width] = g - gain_drop * dy * by;
+            part[5 * width] = -gain_drop * dy * j * dw;
+            part[6 * width] = dw_ratio * (g * jx - gain_drop * j * bx);
+            part[7 * width] = dw_ratio * (g * jy - gain_drop * j * by);
+            part[8 * width] = j_ratio * (g - gain_drop * dw * j * dw);
+            part[ARM_X * width] = rx, part[ARM_Y * width] = ry;
             const double force = slips ? accel[i] * inverse : 0.0;
-            part[BY_DT * wide] = force * dx, part[(BY_DT + 1) * wide] = force * dy;
-            part[(BY_DT + 2) * wide] = force * lever * dw;
+            part[BY_DT * width] = force * dx, part[(BY_DT + 1) * width] = force * dy;
+            part[(BY_DT + 2) * width] = force * j_ratio * dw;
             vx[i] += g * dx;
             vy[i] += g * dy;
-            w[i] += g * lever * dw;
-            part[AFTER * wide] = vx[i], part[(AFTER + 1) * wide] = vy[i];
-            part[(AFTER + 2) * wide] = w[i];
+            w[i] += g * j_ratio * dw;
+            part[AFTER * width] = vx[i], part[(AFTER + 1) * width] = vy[i];
+            part[(AFTER + 2) * width] = w[i];
             px[i] += h * vx[i];
             py[i] += h * vy[i];
         }
@@ -243,9 +254,9 @@ PLATE_WIDE inline void end_turning_gradient(Matrix& parts, int count, Samples po
         // rows of `parts`.
         double *__restrict ax = px, *__restrict ay = py, *__restrict aw = angle;
         double *__restrict bx = vx, *__restrict by = vy, *__restrict bw = w;
-        std::fill_n(ax, wide, axis == 0 ? 1.0 : 0.0), std::fill_n(bx, wide, coast * ax[0]);
-        std::fill_n(ay, wide, axis == 1 ? 1.0 : 0.0), std::fill_n(by, wide, coast * ay[0]);
-        std::fill_n(aw, wide, axis == 2 ? 1.0 : 0.0), std::fill_n(bw, wide, coast * aw[0]);
+        std::fill_n(ax, width, axis == 0 ? 1.0 : 0.0), std::fill_n(bx, width, coast * ax[0]);
+        std::fill_n(ay, width, axis == 1 ? 1.0 : 0.0), std::fill_n(by, width, coast * ay[0]);
+        std::fill_n(aw, width, axis == 2 ? 1.0 : 0.0), std::fill_n(bw, width, coast * aw[0]);
         for (int k = n - 1; k >= 0; k--) {
             const double h = dt[k], s = twist(k, 2);
             const double* __restrict stored = past[k * PAST];
@@ -260,17 +271,18 @@ PLATE_WIDE inline void end_turning_gradient(Matrix& parts, int count, Samples po
                 const double* part = stored + i;
                 const double cx = bx[i] + h * ax[i], cy = by[i] + h * ay[i];
                 const double cw = bw[i] + h * aw[i];
-                on_dt[i] = ax[i] * part[AFTER * wide] + ay[i] * part[(AFTER + 1) * wide] +
-                           aw[i] * part[(AFTER + 2) * wide] + cx * part[BY_DT * wide] +
-                           cy * part[(BY_DT + 1) * wide] + cw * part[(BY_DT + 2) * wide];
-                const double gx = part[0] * cx + part[3 * wide] * cy + part[6 * wide] * cw;
-                const double gy = part[wide] * cx + part[4 * wide] * cy + part[7 * wide] * cw;
-                const double gw = part[2 * wide] * cx + part[5 * wide] * cy + part[8 * wide] * cw;
+                on_dt[i] = ax[i] * part[AFTER * width] + ay[i] * part[(AFTER + 1) * width] +
+                           aw[i] * part[(AFTER + 2) * width] + cx * part[BY_DT * width] +
+                           cy * part[(BY_DT + 1) * width] + cw * part[(BY_DT + 2) * width];
+                const double gx = part[0] * cx + part[3 * width] * cy + part[6 * width] * cw;
+                const double gy = part[width] * cx + part[4 * width] * cy + part[7 * width] * cw;
+                const double gw =
+                    part[2 * width] * cx + part[5 * width] * cy + part[8 * width] * cw;
                 bx[i] = cx - gx, by[i] = cy - gy, bw[i] = cw - gw;
                 ax[i] += s * gy;
                 ay[i] -= s * gx;
                 on_u[i] = gx, on_v[i] = gy;
-                on_w[i] = part[ARM_X * wide] * gy - part[ARM_Y * wide] * gx + gw;
+                on_w[i] = part[ARM_X * width] * gy - part[ARM_Y * width] * gx + gw;
                 on_x[i] = -s * gy, on_y[i] = s * gx;
             }
         }

@@ -47,18 +47,18 @@ template <class Number>
     }
     for (int k = 0; k < count; k++) {
         const Number* __restrict row = root[k];
-        const Number known = right[k] *= row[k];
-        for (int i = k + 1; i < wide; i++) right[i] -= row[i] * known;
+        const Number entry = right[k] *= row[k];
+        for (int i = k + 1; i < wide; i++) right[i] -= row[i] * entry;
     }
     for (int i = count - 1; i >= 0; i--) {
         const Number* __restrict row = root[i];
         Number part[VECTOR] = {}, sum = 0;
-        const Number known = right[i];
+        const Number entry = right[i];
         right[i] = 0;
         for (int k = i / VECTOR * VECTOR; k < wide; k += VECTOR)
             for (int lane = 0; lane < VECTOR; lane++) part[lane] += row[k + lane] * right[k + lane];
-        for (Number each : part) sum += each;
-        right[i] = (known - sum) * row[i];
+        for (Number term : part) sum += term;
+        right[i] = (entry - sum) * row[i];
     }
 }
 
@@ -115,8 +115,8 @@ void LeastNormStep<Number>::add_rows(const std::vector<Number>& weight) {
     Number* __restrict sum = step.data();
     for (int i = 0; i < jacobian->rows; i++) {
         const Number* __restrict row = (*jacobian)[i];
-        const Number share = weight[i];
-        for (int c = 0; c < jacobian->columns; c++) sum[c] += share * row[c];
+        const Number factor = weight[i];
+        for (int c = 0; c < jacobian->columns; c++) sum[c] += factor * row[c];
     }
 }
 
@@ -164,16 +164,16 @@ template FitOf<double> levenberg_marquardt(const Evaluate&, const Slopes<double>
 template FitOf<float> levenberg_marquardt(const Evaluate&, const Slopes<float>&,
                                           std::vector<double>, const Damping&, double, int);
 
-// A symmetric tridiagonal matrix. `middle` (n,) is its diagonal. `beside2` (n,) contains the
-// squares of the off-diagonal entries, from index 1 on. The entry beside2[0] is zero.
+// A symmetric tridiagonal matrix. `diagonal` (n,) is its diagonal. `off_diagonal2` (n,) contains
+// the squares of the off-diagonal entries, from index 1 on. The entry off_diagonal2[0] is zero.
 struct Tridiagonal {
-    std::vector<double> middle, beside2;
+    std::vector<double> diagonal, off_diagonal2;
 
     // Returns an eigenvalue with a relative error of up to 1e-10. `index` is its position in
     // ascending order, from 0. If the eigenvalue is below `minimum`, the result is any number up to
-    // `minimum`. The search begins with the interval from 0 to `high`. Each step divides the interval
-    // by four shifts and selects one of the five parts. The number of negative pivots of the
-    // shifted matrix is the number of eigenvalues below the shift.
+    // `minimum`. The search begins with the interval from 0 to `high`. Each step divides the
+    // interval by four shifts and selects one of the five parts. The number of negative pivots of
+    // the shifted matrix is the number of eigenvalues below the shift.
     double eigenvalue(int index, double minimum, double high) const {
         double low = 0;
         while (high - low > 1e-10 * high && high > minimum) {
@@ -181,8 +181,8 @@ struct Tridiagonal {
             const Four one{1, 1, 1, 1}, tiny = 1e-300 * one;
             const Four shift = low + step * Four{1, 2, 3, 4};
             Four pivot = one, below{};
-            for (size_t i = 0; i < middle.size(); i++) {
-                pivot = middle[i] - shift - beside2[i] / pivot;
+            for (size_t i = 0; i < diagonal.size(); i++) {
+                pivot = diagonal[i] - shift - off_diagonal2[i] / pivot;
                 pivot = pivot == 0 ? tiny : pivot;
                 below += pivot < 0 ? one : 0 * one;
             }
@@ -201,12 +201,12 @@ PLATE_WIDE void make_tridiagonal(Matrix& square, Tridiagonal& result) {
     const int count = square.rows;
     std::vector<double> normal(count), product(count);
     double *__restrict v = normal.data(), *__restrict p = product.data();
-    result.beside2.assign(count, 0.0);
+    result.off_diagonal2.assign(count, 0.0);
     for (int k = 0; k + 1 < count; k++) {
         const double* row = square[k];
         double length2 = 0;
         for (int i = k + 1; i < count; i++) length2 += row[i] * row[i];
-        result.beside2[k + 1] = length2;
+        result.off_diagonal2[k + 1] = length2;
         if (length2 == 0) continue;
         const double length = std::sqrt(length2);
         const double factor = 1 / (length2 + length * std::abs(row[k + 1]));
@@ -214,9 +214,9 @@ PLATE_WIDE void make_tridiagonal(Matrix& square, Tridiagonal& result) {
         v[k + 1] += v[k + 1] < 0 ? -length : length;
         for (int i = k + 1; i < count; i++) {
             const double* __restrict other = square[i];
-            const double share = factor * v[i];
+            const double scale = factor * v[i];
 #pragma omp simd
-            for (int j = k + 1; j < count; j++) p[j] += share * other[j];
+            for (int j = k + 1; j < count; j++) p[j] += scale * other[j];
         }
         double along = 0;
         for (int i = k + 1; i < count; i++) along += p[i] * v[i];
@@ -228,8 +228,8 @@ PLATE_WIDE void make_tridiagonal(Matrix& square, Tridiagonal& result) {
             for (int j = k + 1; j < count; j++) other[j] -= vi * p[j] + pi * v[j];
         }
     }
-    result.middle.resize(count);
-    for (int i = 0; i < count; i++) result.middle[i] = square[i][i];
+    result.diagonal.resize(count);
+    for (int i = 0; i < count; i++) result.diagonal[i] = square[i][i];
 }
 
 double condition_of(const Matrix& jacobian) {

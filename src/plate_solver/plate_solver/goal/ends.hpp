@@ -26,25 +26,25 @@ struct Ends {
 // Computes the errors (R,) of end coordinates (C,) [m, rad], and the negative derivatives (R, C) of
 // the errors. The first C rows belong to the coordinates. Each further row belongs to a pair of
 // parts that are too close to each other.
-inline void end_errors(const std::vector<double>& place, const Ends& ends,
-                       std::vector<double>& error, Matrix& slope) {
-    const int size = place.size(), count = ends.parts, pairs = ends.pair.size();
+inline void end_errors(const std::vector<double>& end, const Ends& ends, std::vector<double>& error,
+                       Matrix& slope) {
+    const int size = end.size(), count = ends.parts, pairs = ends.pair.size();
     error.assign(size + pairs, 0.0);
     slope.resize(size + pairs, size);
     std::fill_n(slope[0], (size + pairs) * size, 0.0);
     for (int j = 0; j < size; j++) {
-        const double at = place[j];
-        if (at < ends.low[j] || at > ends.high[j]) {
-            const double nearest = at < ends.low[j] ? ends.low[j] : ends.high[j];
-            error[j] += ends.weight[j] * (nearest - at);
+        const double value = end[j];
+        if (value < ends.low[j] || value > ends.high[j]) {
+            const double nearest = value < ends.low[j] ? ends.low[j] : ends.high[j];
+            error[j] += ends.weight[j] * (nearest - value);
             slope[j][j] += ends.weight[j];
         }
-        if (at < ends.edge_low[j]) {
-            const double beyond = ends.edge_low[j] - at;
+        if (value < ends.edge_low[j]) {
+            const double beyond = ends.edge_low[j] - value;
             error[j] += beyond + beyond * beyond / STEEP_M;
             slope[j][j] += 1 + 2 * beyond / STEEP_M;
-        } else if (at > ends.edge_high[j]) {
-            const double beyond = at - ends.edge_high[j];
+        } else if (value > ends.edge_high[j]) {
+            const double beyond = value - ends.edge_high[j];
             error[j] -= beyond + beyond * beyond / STEEP_M;
             slope[j][j] += 1 + 2 * beyond / STEEP_M;
         }
@@ -52,7 +52,7 @@ inline void end_errors(const std::vector<double>& place, const Ends& ends,
     int rows = size;
     for (int k = 0; k < pairs; k++) {
         const auto [a, b] = ends.pair[k];
-        const double dx = place[b] - place[a], dy = place[count + b] - place[count + a];
+        const double dx = end[b] - end[a], dy = end[count + b] - end[count + a];
         const double distance = std::max(std::sqrt(dx * dx + dy * dy), 1e-9);
         if (distance < ends.clear[k]) {
             error[rows] = ends.clear[k] - distance;

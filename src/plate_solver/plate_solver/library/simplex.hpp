@@ -35,22 +35,22 @@ PLATE_WIDE inline bool invert_matrix(Matrix& matrix, Matrix& inverse) {
         for (int i = j + 1; i < rows; i++)
             if (std::abs(matrix[i][j]) > std::abs(matrix[pivot][j])) pivot = i;
         if (!(std::abs(matrix[pivot][j]) > 0)) return false;
-        double *__restrict own = matrix[j], *__restrict own_inverse = inverse[j];
+        double* __restrict pivot_row = matrix[j], *__restrict pivot_inverse = inverse[j];
         if (pivot != j) {
-            std::swap_ranges(own, own + rows, matrix[pivot]);
-            std::swap_ranges(own_inverse, own_inverse + rows, inverse[pivot]);
+            std::swap_ranges(pivot_row, pivot_row + rows, matrix[pivot]);
+            std::swap_ranges(pivot_inverse, pivot_inverse + rows, inverse[pivot]);
         }
-        const double first = own[j];
-        for (int c = j; c < rows; c++) own[c] /= first;
-        for (int c = 0; c < rows; c++) own_inverse[c] /= first;
+        const double first = pivot_row[j];
+        for (int c = j; c < rows; c++) pivot_row[c] /= first;
+        for (int c = 0; c < rows; c++) pivot_inverse[c] /= first;
         for (int i = 0; i < rows; i++) {
-            const double part = matrix[i][j];
-            if (i == j || part == 0) continue;
+            const double factor = matrix[i][j];
+            if (i == j || factor == 0) continue;
             double *__restrict row = matrix[i], *__restrict row_inverse = inverse[i];
 #pragma omp simd
-            for (int c = j; c < rows; c++) row[c] -= part * own[c];
+            for (int c = j; c < rows; c++) row[c] -= factor * pivot_row[c];
 #pragma omp simd
-            for (int c = 0; c < rows; c++) row_inverse[c] -= part * own_inverse[c];
+            for (int c = 0; c < rows; c++) row_inverse[c] -= factor * pivot_inverse[c];
         }
     }
     return true;
@@ -128,15 +128,15 @@ inline bool Programme::restart() {
 inline Entering Programme::best_column() {
     for (int c = 0; c < rows(); c++) dual[c] = 0;
     for (int i = 0; i < rows(); i++) {
-        const double each = price(basis(i));
-        for (int c = 0; c < rows(); c++) dual[c] += each * inverse[i][c];
+        const double cost = price(basis(i));
+        for (int c = 0; c < rows(); c++) dual[c] += cost * inverse[i][c];
     }
     product(dual.data(), 1, matrix.data, count(), rows(), 1, count(), value.data(), count());
     int best = -1;
     double gain = 0;
     for (int j = 0; j < count(); j++) {
-        const double pays = std::abs(value[j]) - price(j);
-        if (pays > gain) best = j, gain = pays;
+        const double gain_of_column = std::abs(value[j]) - price(j);
+        if (gain_of_column > gain) best = j, gain = gain_of_column;
     }
     double sense = best < 0 || value[best] > 0 ? 1 : -1;
     for (int i = 0; i < rows(); i++) {
@@ -163,16 +163,16 @@ inline void Programme::find_column(int q, double direction) {
 // Replaces column `leave` of the basis by the column of the last `find_column` call. The amount of
 // the new column is `amount_in`.
 inline void Programme::pivot_on(int leave, double amount_in) {
-    double* __restrict own = inverse[leave];
+    double* __restrict pivot_row = inverse[leave];
     for (int i = 0; i < rows(); i++) {
         if (i == leave) continue;
         amount[i] = std::max(amount[i] - amount_in * column[i], 0.0);
-        const double part = column[i] / column[leave];
-        if (part == 0) continue;
+        const double factor = column[i] / column[leave];
+        if (factor == 0) continue;
         double* __restrict row = inverse[i];
-        for (int c = 0; c < rows(); c++) row[c] -= part * own[c];
+        for (int c = 0; c < rows(); c++) row[c] -= factor * pivot_row[c];
     }
-    for (int c = 0; c < rows(); c++) own[c] /= column[leave];
+    for (int c = 0; c < rows(); c++) pivot_row[c] /= column[leave];
     amount[leave] = amount_in;
 }
 

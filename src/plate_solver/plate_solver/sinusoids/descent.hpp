@@ -28,7 +28,7 @@ constexpr Damping DAMPING{.first = 1.0, .stall_steps = 6, .stall_fraction = 0.99
 struct Motions {
     MatrixOf<float> pose, twist;  // (h, n): basis at the middles of steps
     MatrixOf<float> twist_bins;   // (bins, h): means of `twist` over bins of steps
-    SampledBasis checks;                  // basis at the instants at which limits are checked
+    SampledBasis checks;          // basis at the instants at which limits are checked
     double scale[3];              // coefficients of a parameter along x, y and theta
     double dt;                    // length of a step [s]
     Limits limits;
@@ -42,7 +42,7 @@ struct Motions {
 // to the settling motion.
 struct Settling {
     MatrixOf<float> pose, twist;  // (3, n) at the middles of steps
-    SampledMotion checked;                // motion at the instants at which limits are checked
+    SampledMotion checked;        // motion at the instants at which limits are checked
     bool moves;                   // whether the motion is not zero
 };
 
@@ -63,10 +63,10 @@ struct Problem {
 // Buffers of a descent. Each evaluation overwrites them.
 struct Workspace {
     AlignedNumbers<float> steps, by_twist;
-    std::vector<float> moving;
-    std::vector<double> coefficients, place;
-    MatrixOf<float> state, pose, twist, on_twist, ends;
-    Matrix by_place, used;
+    std::vector<float> single;
+    std::vector<double> coefficients, end;
+    MatrixOf<float> state, pose, twist, by_coefficient, end_slopes;
+    Matrix by_end, used;
     SampledMotion checked;
     Excess excess;
 };
@@ -81,7 +81,7 @@ public:
         workspace.steps.resize(motions.steps() * blocks * trace);
         workspace.by_twist.resize(motions.bins() * blocks * axes * 3 * LANES);
         workspace.coefficients.resize(3 * motions.size());
-        workspace.place.resize(axes * problem.ends.parts);
+        workspace.end.resize(axes * problem.ends.parts);
         steps = {workspace.steps.data(), {motions.steps(), blocks, trace}};
         if (problem.settling.moves) settling_use = use_of(problem.settling.checked);
     }
@@ -90,27 +90,27 @@ public:
     void evaluate(std::vector<double>& theta, std::vector<double>& error) {
         const Limits& limits = motions.limits;
         sample_checks(theta);
-        const SampledMotion& at = workspace.checked;
-        const double use = use_of(at);
+        const SampledMotion& checked = workspace.checked;
+        const double use = use_of(checked);
         if (use > problem.max_use) {
-            const double share = (problem.max_use - settling_use) / (use - settling_use);
-            for (double& value : theta) value *= std::max(share, 0.0);
+            const double factor = (problem.max_use - settling_use) / (use - settling_use);
+            for (double& value : theta) value *= std::max(factor, 0.0);
             sample_checks(theta);
         }
-        workspace.moving.assign(workspace.coefficients.begin(), workspace.coefficients.end());
-        combine(workspace.moving.data(), motions.pose, workspace.pose);
-        combine(workspace.moving.data(), motions.twist, workspace.twist);
+        workspace.single.assign(workspace.coefficients.begin(), workspace.coefficients.end());
+        combine(workspace.single.data(), motions.pose, workspace.pose);
+        combine(workspace.single.data(), motions.twist, workspace.twist);
         if (problem.settling.moves) {
             add_to(workspace.pose, problem.settling.pose);
             add_to(workspace.twist, problem.settling.twist);
         }
         move_parts();
-        end_errors(workspace.place, problem.ends, error, workspace.by_place);
+        end_errors(workspace.end, problem.ends, error, workspace.by_end);
         const int checks = motions.checks.count();
         workspace.excess.begin(max_excesses(checks) + max_force_excesses(checks),
                                3 * motions.size());
-        excess(at, motions.checks, limits, workspace.used, workspace.excess);
-        if (limits.forceful) force_excess(at, motions.checks, limits, workspace.excess);
+        excess(checked, motions.checks, limits, workspace.used, workspace.excess);
+        if (limits.forceful) force_excess(checked, motions.checks, limits, workspace.excess);
         for (int k = 0; k < workspace.excess.found; k++)
             error.push_back(-EXCESS_M * workspace.excess.value[k]);
     }
@@ -119,20 +119,20 @@ public:
     // The derivatives belong to the motion of the last `evaluate` call.
     void slopes(MatrixOf<float>& jacobian) {
         find_slopes_of_ends();
-        const int rows = workspace.by_place.rows, wide = 3 * motions.size();
-        jacobian.resize(rows + workspace.excess.found, wide);
+        const int rows = workspace.by_end.rows, columns = 3 * motions.size();
+        jacobian.resize(rows + workspace.excess.found, columns);
         for (int r = 0; r < rows; r++) {
             float* __restrict row = jacobian[r];
-            std::fill_n(row, wide, 0.0f);
-            for (int c = 0; c < workspace.by_place.columns; c++) {
-                const float factor = workspace.by_place[r][c];
+            std::fill_n(row, columns, 0.0f);
+            for (int c = 0; c < workspace.by_end.columns; c++) {
+                const float factor = workspace.by_end[r][c];
                 if (factor == 0) continue;  // most factors are 0
-                const float* __restrict end = workspace.ends[c];
-                for (int p = 0; p < wide; p++) row[p] += factor * end[p];
+                const float* __restrict end_slope = workspace.end_slopes[c];
+                for (int p = 0; p < columns; p++) row[p] += factor * end_slope[p];
             }
         }
         for (int k = 0; k < workspace.excess.found; k++)
-            for (int p = 0; p < wide; p++)
+            for (int p = 0; p < columns; p++)
                 jacobian[rows + k][p] =
                     EXCESS_M * workspace.excess.slope[k][p] * motions.scale[p % 3];
     }
@@ -145,9 +145,9 @@ private:
     double settling_use = 0;  // largest utilisation of any limit by the settling motion
     View<float, 3> steps;
 
-    double use_of(const SampledMotion& at) const {
+    double use_of(const SampledMotion& motion) const {
         const std::vector<double>& weight = motions.checks.weight;
-        return limit_use(samples(at.pose), samples(at.twist), samples(at.accel),
+        return limit_use(samples(motion.pose), samples(motion.twist), samples(motion.accel),
                          {weight.data(), {static_cast<int>(weight.size())}}, motions.limits, true);
     }
 
@@ -172,19 +172,19 @@ private:
     // rotations by the time `coast`. The result contains x of all parts, y of all parts, and the
     // rotations of all parts.
     void move_parts() {
-        constexpr int PLACE[] = {blocks::X, blocks::Y, turning::TURN};
+        constexpr int COORDINATE[] = {blocks::X, blocks::Y, turning::TURN};
         constexpr int RATE[] = {blocks::VX, blocks::VY, turning::SPIN};
-        const int parts = problem.ends.parts, wide = problem.start.size(1);
-        workspace.state.resize(blocks, wide);
-        std::copy_n(problem.start.data, blocks * wide, workspace.state[0]);
-        const View<float, 2> state{workspace.state[0], {blocks, wide}};
+        const int parts = problem.ends.parts, columns = problem.start.size(1);
+        workspace.state.resize(blocks, columns);
+        std::copy_n(problem.start.data, blocks * columns, workspace.state[0]);
+        const View<float, 2> state{workspace.state[0], {blocks, columns}};
         const auto trace = problem.turning() ? trace_turning : plate::trace;
         trace(state, samples(workspace.pose), samples(workspace.twist), motions.dt, steps);
         for (int axis = 0; axis < axes; axis++)
             for (int i = 0; i < parts; i++) {
                 const float* part = state[i / LANES] + i % LANES;
-                workspace.place[axis * parts + i] =
-                    part[PLACE[axis]] + problem.coast * part[RATE[axis]];
+                workspace.end[axis * parts + i] =
+                    part[COORDINATE[axis]] + problem.coast * part[RATE[axis]];
             }
     }
 
@@ -196,18 +196,19 @@ private:
         const auto adjoint = problem.turning() ? adjoint_turning : plate::adjoint;
         adjoint({steps.data, steps.shape}, samples(workspace.twist), motions.dt, problem.coast,
                 by_twist);
-        const int wide = blocks * axes * 3 * LANES;
-        workspace.on_twist.resize(size, wide);
-        product(motions.twist_bins[0], size, workspace.by_twist.data(), wide, bins, size, wide,
-                workspace.on_twist[0], wide);
-        workspace.ends.resize(axes * parts, 3 * size);
+        const int columns = blocks * axes * 3 * LANES;
+        workspace.by_coefficient.resize(size, columns);
+        product(motions.twist_bins[0], size, workspace.by_twist.data(), columns, bins, size,
+                columns, workspace.by_coefficient[0], columns);
+        workspace.end_slopes.resize(axes * parts, 3 * size);
         for (int axis = 0; axis < axes; axis++)
             for (int i = 0; i < parts; i++) {
-                const int at = (i / LANES * axes + axis) * 3 * LANES + i % LANES;
-                float* row = workspace.ends[axis * parts + i];
+                const int column = (i / LANES * axes + axis) * 3 * LANES + i % LANES;
+                float* row = workspace.end_slopes[axis * parts + i];
                 for (int h = 0; h < size; h++)
                     for (int c = 0; c < 3; c++)
-                        row[3 * h + c] = motions.scale[c] * workspace.on_twist[h][at + c * LANES];
+                        row[3 * h + c] =
+                            motions.scale[c] * workspace.by_coefficient[h][column + c * LANES];
             }
     }
 };

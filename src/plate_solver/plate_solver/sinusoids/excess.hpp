@@ -61,10 +61,10 @@ void combine(const Number* coefficients, const MatrixOf<Number>& basis, MatrixOf
 }
 
 inline void sample_motion(const double* coefficients, const SampledBasis& basis,
-                          SampledMotion& at) {
-    combine(coefficients, basis.pose, at.pose);
-    combine(coefficients, basis.twist, at.twist);
-    combine(coefficients, basis.accel, at.accel);
+                          SampledMotion& motion) {
+    combine(coefficients, basis.pose, motion.pose);
+    combine(coefficients, basis.twist, motion.twist);
+    combine(coefficients, basis.accel, motion.accel);
 }
 
 // Maximum number of violations that `excess` and `force_excess` can add.
@@ -77,13 +77,13 @@ inline int max_force_excesses(int checks) { return (checks + 1) * MOTORS; }
 //     |l . q| / stroke - PENALTY_USE,    |l . q'| / speed limit - PENALTY_USE,
 //     |b| / acceleration limit - PENALTY_USE.
 // `used` is a buffer.
-PLATE_WIDE inline void excess(const SampledMotion& at, const SampledBasis& basis,
+PLATE_WIDE inline void excess(const SampledMotion& motion, const SampledBasis& basis,
                               const Limits& limits, Matrix& used, Excess& result) {
     const int n = basis.count(), size = basis.size();
     used.resize(2 * MOTORS + 4, n);
     for (int i = 0; i < MOTORS; i++)
         for (int order = 0; order < 2; order++) {
-            const Matrix& state = order ? at.twist : at.pose;
+            const Matrix& state = order ? motion.twist : motion.pose;
             const double limit = order ? limits.speed : limits.stroke_m;
             const double *__restrict x = state[0], *__restrict y = state[1];
             const double *__restrict angle = state[2], *lever = limits.levers[i];
@@ -92,8 +92,8 @@ PLATE_WIDE inline void excess(const SampledMotion& at, const SampledBasis& basis
             for (int k = 0; k < n; k++)
                 out[k] = std::abs(lever[0] * x[k] + lever[1] * y[k] + lever[2] * angle[k]) / limit;
         }
-    const double *__restrict ax = at.accel[0], *__restrict ay = at.accel[1];
-    const double *__restrict aw = at.accel[2], *__restrict spin = at.twist[2];
+    const double* __restrict ax = motion.accel[0], *__restrict ay = motion.accel[1];
+    const double* __restrict aw = motion.accel[2], *__restrict spin = motion.twist[2];
     for (int corner = 0; corner < 4; corner++) {
         const double cx = corner & 1 ? limits.half[0] : -limits.half[0];
         const double cy = corner & 2 ? limits.half[1] : -limits.half[1];
@@ -108,9 +108,9 @@ PLATE_WIDE inline void excess(const SampledMotion& at, const SampledBasis& basis
     for (int k = 0; k < n; k++) {
         for (int i = 0; i < MOTORS; i++)
             for (int order = 0; order < 2; order++) {
-                const double share = used[2 * i + order][k];
-                if (!(share > PENALTY_USE)) continue;
-                const Matrix& state = order ? at.twist : at.pose;
+                const double use = used[2 * i + order][k];
+                if (!(use > PENALTY_USE)) continue;
+                const Matrix& state = order ? motion.twist : motion.pose;
                 const double* by = order ? basis.twist_at[k] : basis.pose_at[k];
                 const double limit = order ? limits.speed : limits.stroke_m;
                 const double* lever = limits.levers[i];
@@ -118,10 +118,10 @@ PLATE_WIDE inline void excess(const SampledMotion& at, const SampledBasis& basis
                                  lever[2] * state[2][k];
                 double* slope = result.slope[result.found];
                 for (int h = 0; h < size; h++) {
-                    const double each = (q > 0 ? by[h] : -by[h]) / limit;
-                    for (int d = 0; d < 3; d++) slope[3 * h + d] = each * lever[d];
+                    const double factor = (q > 0 ? by[h] : -by[h]) / limit;
+                    for (int d = 0; d < 3; d++) slope[3 * h + d] = factor * lever[d];
                 }
-                result.value[result.found++] = share - PENALTY_USE;
+                result.value[result.found++] = use - PENALTY_USE;
             }
         for (int corner = 0; corner < 4; corner++) {
             const double length = used[2 * MOTORS + corner][k];
@@ -154,38 +154,39 @@ PLATE_WIDE inline void excess(const SampledMotion& at, const SampledBasis& basis
 }
 
 // Adds the violations of the motors' peak forces and of their root mean square forces.
-PLATE_WIDE inline void force_excess(const SampledMotion& at, const SampledBasis& basis,
+PLATE_WIDE inline void force_excess(const SampledMotion& motion, const SampledBasis& basis,
                                     const Limits& limits, Excess& result) {
     const int checks = basis.count(), size = basis.size();
-    Matrix each(3, size), by_own(3, size);
+    Matrix force_slope(3, size), heat_slope(3, size);
     for (int i = 0; i < MOTORS; i++) {
         const double *on_pose = limits.loads[0][i], *on_twist = limits.loads[1][i];
         const double* on_accel = limits.loads[2][i];
         double square = 0;
-        std::fill_n(by_own[0], 3 * size, 0.0);
+        std::fill_n(heat_slope[0], 3 * size, 0.0);
         for (int k = 0; k < checks; k++) {
             const double *__restrict pose = basis.pose_at[k], *__restrict twist = basis.twist_at[k];
             const double* __restrict accel = basis.accel_at[k];
             double force = 0;
             for (int d = 0; d < 3; d++)
-                force += on_pose[d] * at.pose[d][k] + on_twist[d] * at.twist[d][k] +
-                         on_accel[d] * at.accel[d][k];
-            const double share = basis.weight[k] / basis.heated;
-            square += share * force * force;
+                force += on_pose[d] * motion.pose[d][k] + on_twist[d] * motion.twist[d][k] +
+                         on_accel[d] * motion.accel[d][k];
+            const double weight = basis.weight[k] / basis.heated;
+            square += weight * force * force;
             for (int d = 0; d < 3; d++) {
-                double *__restrict own = each[d], *__restrict sum = by_own[d];
+                double* __restrict slope = force_slope[d], *__restrict sum = heat_slope[d];
 #pragma omp simd
                 for (int h = 0; h < size; h++) {
-                    own[h] = on_pose[d] * pose[h] + on_twist[d] * twist[h] + on_accel[d] * accel[h];
-                    sum[h] += share * force * own[h];
+                    slope[h] =
+                        on_pose[d] * pose[h] + on_twist[d] * twist[h] + on_accel[d] * accel[h];
+                    sum[h] += weight * force * slope[h];
                 }
             }
             if (std::abs(force) > PENALTY_USE)
-                add(std::abs(force) - PENALTY_USE, each, force > 0 ? 1 : -1, result);
+                add(std::abs(force) - PENALTY_USE, force_slope, force > 0 ? 1 : -1, result);
         }
         const double heat = limits.heat * std::sqrt(square);
         if (heat > PENALTY_USE)
-            add(heat - PENALTY_USE, by_own, limits.heat * limits.heat / heat, result);
+            add(heat - PENALTY_USE, heat_slope, limits.heat * limits.heat / heat, result);
     }
 }
 
