@@ -354,7 +354,8 @@ def outline_finding(
 
 def light_finding(image: np.ndarray, light: Light, field: AimField) -> Finding:
     """Return a finding about the light in an image (H, W) or (H, W, 3), with the remedy."""
-    problem = light_problem(image, field.vision.options.min_plate_grey)
+    vision = field.vision
+    problem = light_problem(image, vision.options.min_plate_grey, vision.lit_region)
     if problem:
         return Finding(Level.ERROR, problem)
     if light.white > CLIPPED:

@@ -49,8 +49,8 @@ from .camera import (
     bits_hint,
     decode,
     decode_file,
-    is_wide,
-    is_wide_file,
+    largest_in_file,
+    largest_number,
     load_lens,
     rig_lens,
     rig_of_picture,
@@ -227,7 +227,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             "image_raw",
             msg.header.stamp,
             lambda: decode(msg.data, size_px, msg.encoding, msg.step, big, self.options.bits),
-            is_wide(msg.encoding),
+            lambda: largest_number(msg.data, msg.encoding, big),
         )
 
     def _on_file(self, msg: CompressedImage) -> None:
@@ -236,7 +236,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             "image_raw/compressed",
             msg.header.stamp,
             lambda: decode_file(msg.data, msg.format, self.options.bits, size_px),
-            is_wide_file(msg.data),
+            lambda: largest_in_file(msg.data),
         )
 
     def _adapt_rig_to_photograph(self, size_px: tuple[int, int]) -> None:
@@ -269,10 +269,14 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
                 self._warn(f"{name}: {found.message}")
 
     def _process_image(
-        self, source: str, stamp: Time, unpack: Callable[[], np.ndarray], wide: bool = False
+        self,
+        source: str,
+        stamp: Time,
+        unpack: Callable[[], np.ndarray],
+        largest: Callable[[], int | None],
     ) -> None:
-        """Find the parts in one image, and publish them. If `wide`, the image has 16-bit values,
-        and the parameter `bits` is the number of their used bits."""
+        """Find the parts in one image, and publish them. `largest` returns the largest 16-bit
+        number of the image, or None if the image has 8 bits."""
         self._input = self._input.received(time.monotonic())
         self._tally.images += 1
         self._images += 1
@@ -307,9 +311,10 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self._tally.detection_ms.append(1e3 * (time.perf_counter() - start_s))
         if self._tracker is not before:
             self._log_id_changes()
-        problem = light_problem(image, self._vision.options.min_plate_grey)
+        vision = self._vision
+        problem = light_problem(image, vision.options.min_plate_grey, vision.lit_region)
         if problem:
-            problem += bits_hint(image, self.options.bits) if wide else ""
+            problem += bits_hint(largest(), self.options.bits)
             self._warn(f"{source}: {problem}")
             self._tally.problem = problem
         self._publish_parts(image, stamp)

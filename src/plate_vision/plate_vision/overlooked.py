@@ -79,10 +79,15 @@ EDGE_REASONS = ("at the edge", "beyond the plate")
 plate's edge can be detected as such an object. This happens, for example, in images of a camera
 that is not triggered."""
 
-COVER_RADII = 8.0
-"""Minimum radius of an object that counts as covering the plate, relative to the largest part's
-radius [-]. Such objects are, for example, a hand, a cable, or a lamp's reflection. The visible
-strip beside a plate that is 10 mm away from home is smaller than this limit."""
+LARGE_RADII = 3.0
+"""Minimum radius of an object that cannot be the shadow of a part, relative to the part's radius
+[-]."""
+
+COVER_RADII, EDGE_COVER_RADII = 4.0, 8.0
+"""Minimum radius of an object that counts as covering the plate, inside the plate and at its edge,
+relative to the largest part's radius [-]. Such objects are, for example, a hand, a cable, a lamp's
+reflection, or rows that the camera lost. The visible strip beside a plate that is 10 mm away from
+home is smaller than the second limit."""
 
 REMEDIES = {
     "too faint": "use more light, or parts with more contrast to the plate",
@@ -131,7 +136,8 @@ def is_separate_object(
     in `may_be_parts`."""
     place = np.column_stack([things["x"], things["y"]])
     distance = np.hypot(*(place[:, None] - centre).transpose(2, 0, 1))
-    return np.asarray(np.all(distance >= APART * (radius + part_radius)[:, None], axis=1))
+    is_apart = np.all(distance >= APART * (radius + part_radius)[:, None], axis=1)
+    return np.asarray(is_apart | (radius > LARGE_RADII * part_radius))
 
 
 def unnamed_objects(
@@ -254,6 +260,17 @@ class OverlookedTally:
         if not total:
             return None
         why = ", ".join(text for _, text in named)
+        limit = np.where(np.isin(reason, EDGE_REASONS), EDGE_COVER_RADII, COVER_RADII)
+        largest = int(np.argmax(radius / limit))
+        if radius[largest] > limit[largest] * expected.largest:
+            thing = np.concatenate(self.things)[largest]
+            return Finding(
+                Level.WARN,
+                f"a region of the plate around ({thing['x']:.3f}, {thing['y']:.3f}) m, as large as "
+                f"a disc of {1e3 * radius[largest]:.0f} mm radius, differs from the bare plate, "
+                "and parts in it may not be detected; remove what covers it, or check light, "
+                "camera cable and corners_px",
+            )
         if not self.taken:
             things = "1 other object" if total == 1 else f"{total} other objects"
             return Finding(Level.WARN, f"no part is detected, but {things}: {why}")
@@ -261,14 +278,6 @@ class OverlookedTally:
         verb = "is not recognised as a part" if total == 1 else "are not recognised as parts"
         counts = (radius >= SPECK_RADIUS * expected.smallest) & ~np.isin(reason, EDGE_REASONS)
         large = np.count_nonzero(counts)
-        cover = float(np.max(radius, initial=0))
-        if cover > COVER_RADII * expected.largest:
-            mm = round(1e3 * cover)
-            return Finding(
-                Level.WARN,
-                f"an object as large as a disc of {mm} mm radius covers the plate and hides parts; "
-                f"remove it, or check corners_px and light; {of} {verb}: {why}",
-            )
         many = large > WARN_FRACTION * (large + self.taken) and large >= WARN_COUNT * self.images
         return Finding(Level.WARN if many else Level.OK, f"{of} {verb}: {why}")
 

@@ -105,6 +105,12 @@ class Vision:
     background: Background | None = None
     inner: np.ndarray = field(default_factory=lambda: np.full(2, np.inf))
 
+    @property
+    def lit_region(self) -> Region | None:
+        """Region in which the plate must be bright. None for parts with types, because their plate
+        can be dark."""
+        return self.region if self.catalogue is None else None
+
     def radius_px(self, point_px: np.ndarray) -> np.ndarray:
         """Return the radius (n,) of the disc with the same area as the image of a part at points
         (n, 2) [px]."""

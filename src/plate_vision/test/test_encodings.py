@@ -8,7 +8,13 @@ import numpy as np
 import pytest
 
 from plate_vision import ImageError
-from plate_vision.camera import bits_hint, decode, decode_file, is_wide, is_wide_file
+from plate_vision.camera import (
+    bits_hint,
+    decode,
+    decode_file,
+    largest_in_file,
+    largest_number,
+)
 from plate_vision.camera.encodings import ENCODINGS, MAX_PIXELS
 
 WIDTH, HEIGHT = 12, 8
@@ -56,17 +62,19 @@ def test_sixteen_bits(bgr, bits, order, big):
 
 
 def test_a_hint_at_wrong_bits():
-    for used in (9, 10, 12, 14):
-        image = unpack(np.full((HEIGHT, WIDTH), 0.9 * 2**used, "<u2"), "mono16")
-        assert f"uses only {used} of the 16 bits, " in bits_hint(image, 16)
-    assert bits_hint(np.zeros((HEIGHT, WIDTH), np.uint8), 16) == ""  # black anyway
-    white = np.full((HEIGHT, WIDTH), 255, np.uint8)
-    assert bits_hint(white, 16) == ""
-    assert "more than 12 bits" in bits_hint(white, 12)
-    assert is_wide("mono16")
-    assert not is_wide("mono8")
-    assert not is_wide("no encoding")
-    assert not is_wide_file(b"")
+    for used in (8, 9, 10, 12, 14):
+        largest = round(0.9 * 2**used)
+        data = np.full((HEIGHT, WIDTH), largest, ">u2").tobytes()
+        assert largest_number(data, "mono16", True) == largest
+        hint = bits_hint(largest, 16)
+        assert f"numbers is {largest}: if the camera uses only {used} of the 16 bits, " in hint
+    assert bits_hint(0, 16) == ""  # black anyway
+    assert bits_hint(65535, 16) == ""
+    assert "more than 12 bits" in bits_hint(65535, 12)
+    assert bits_hint(largest_number(bytes(96), "mono8"), 16) == ""
+    picture = cv2.imencode(".png", np.full((HEIGHT, WIDTH), 200, np.uint16))[1].tobytes()
+    assert largest_in_file(picture) == 200
+    assert largest_in_file(b"") is None
 
 
 def test_values_beyond_the_bits_are_white(bgr):
@@ -82,6 +90,52 @@ def test_colour_filters(bgr, first):
     assert np.abs(seen[2:-2, 2:-2].astype(int) - bgr[2:-2, 2:-2]).max() <= 2
     seen = unpack(mosaic.astype("<u2") << 8, f"bayer_{first}16")
     assert np.abs(seen[2:-2, 2:-2].astype(int) - bgr[2:-2, 2:-2]).max() <= 2
+
+
+def mosaic_of(frame, first, gains=(0.75, 1.0, 0.6)):
+    """Return raw Bayer data (H, W) of a grey frame. `gains` are those of blue, green and red."""
+    raw = frame.astype(float)
+    for k, colour in enumerate(first):
+        raw[k // 2 :: 2, k % 2 :: 2] *= gains["bgr".index(colour)]
+    return np.rint(raw).astype(np.uint8)
+
+
+PATTERNS = ("rggb", "bggr", "gbrg", "grbg")
+
+
+@pytest.mark.parametrize("first", PATTERNS)
+def test_raw_colour_data_with_another_encoding_is_refused(draw, rng, first):
+    """The pixels are a mosaic, but the driver declares grey pixels or another pattern."""
+    frame = draw([[150.0, 200.0]], ["black"], rng)
+    raw = mosaic_of(frame, first)
+
+    def seen(pixels, encoding):
+        return decode(pixels.tobytes(), (640, 480), encoding, pixels.nbytes // 480)
+
+    with pytest.raises(ImageError, match="raw Bayer or YUV data, allowed: an encoding"):
+        seen(raw, "mono8")
+    with pytest.raises(ImageError, match="raw Bayer or YUV data, allowed: an encoding"):
+        seen(raw.astype("<u2") << 8, "mono16")
+    with pytest.raises(ImageError, match="raw Bayer or YUV data, allowed: an encoding"):
+        decode_file(cv2.imencode(".png", raw)[1].tobytes(), "mono8; png compressed")
+    for other in PATTERNS:
+        if (other[0] == "g") == (first[0] == "g"):
+            assert seen(raw, f"bayer_{other}8").shape == (480, 640, 3)
+        else:
+            with pytest.raises(ImageError, match=f"allowed: (bayer_.* or )?bayer_{first}( or |;)"):
+                seen(raw, f"bayer_{other}8")
+        seen(frame, f"bayer_{other}8")  # a camera without a colour filter
+    assert np.array_equal(seen(frame, "mono8"), frame)
+
+
+def test_other_patterns_of_a_grey_image_are_no_mosaic(rng):
+    """Edges at even columns, a gradient, noise, and the rows of a sensor with unequal gains."""
+    y, x = np.mgrid[:64, :96]
+    stripes = np.where(x // 2 % 8 < 4, 200, 20)
+    uneven = 100 + 1.5 * (y % 2) + 1.5 * (x % 2)
+    for pixels in (stripes, 2.5 * x, 4 * y, rng.uniform(0, 255, (64, 96)), uneven, 0 * x):
+        frame = np.rint(pixels).astype(np.uint8)
+        assert np.array_equal(decode(frame.tobytes(), (96, 64), "mono8", 96), frame)
 
 
 @pytest.mark.parametrize(("encoding", "grey", "colour"), [("yuv422", 1, 0), ("yuv422_yuy2", 0, 1)])

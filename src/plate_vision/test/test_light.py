@@ -7,7 +7,7 @@ import pytest
 from plate_vision import ImageError, make_region
 from plate_vision._kernels import bare
 from plate_vision.plate import fit_light
-from plate_vision.plate.light import check_complete
+from plate_vision.plate.light import check_complete, light_problem
 
 X_PX, Y_PX = np.meshgrid(np.arange(40, 600, 20), np.arange(110, 380, 20))
 
@@ -46,6 +46,27 @@ def test_the_room_does_not_darken_the_plate(draw, rng):
 def test_no_light_no_plate(draw, region, rng):
     assert fit_light(draw([], [], rng, light=0.2), region, 60) is None
     assert fit_light(np.zeros((480, 640), np.uint8), region, 0) is None
+
+
+def test_a_plate_that_is_too_dark_beside_a_bright_room_is_named(draw, region, rng):
+    frame = draw([], [], rng)
+    assert light_problem(frame, 60, region) is None
+    frame[region.usable] //= 8
+    frame[~region.usable] = 200
+    assert light_problem(frame, 60) is None
+    assert "no plate of at least 60 grey levels is visible" in light_problem(frame, 60, region)
+
+
+def test_an_overexposed_plate_is_named(draw, region, rng):
+    frame = draw([], [], rng)
+    for share, overexposed in ((0.1, False), (0.3, True)):
+        burnt = frame.copy()
+        x0, _, x1, _ = region.box
+        burnt[:, x0 : round(x0 + share * (x1 - x0))] = 255
+        problem = str(light_problem(burnt, 60, region))
+        assert ("% of the plate is overexposed" in problem) is overexposed
+    frame[~region.usable] = 255
+    assert light_problem(frame, 60, region) is None
 
 
 def test_images_without_their_last_rows_are_refused(draw, region, rng):

@@ -1,11 +1,13 @@
 """Discs in scenes that laboratories have: height, tilt, shine, shadow, contrast, colour, sizes."""
 
+import re
+
 import numpy as np
 import pytest
 
 from plate_core.status import Level
 from plate_vision import DetectorOptions, Tracker, make_vision, observe
-from plate_vision.overlooked import Expected, OverlookedTally
+from plate_vision.overlooked import Expected, OverlookedTally, is_separate_object
 
 from .raycast import Look, cast
 
@@ -204,15 +206,27 @@ def test_a_shadow_is_looked_for_in_fewer_and_fewer_images(rng, monkeypatch):
     assert len(calls) == 5
 
 
-@pytest.mark.parametrize("grey", [10, 120])
-def test_what_covers_half_of_the_plate_is_named(grey, rng):
+HIDDEN = {
+    "half": (np.s_[:, 240:], (0.1, 0.0)),
+    "a third": (np.s_[:, :160], (-0.134, 0.0)),
+    "rows beside parts": (np.s_[140:180], (0.0, -0.009)),
+    "a hand": (np.s_[60:150, 200:300], (0.01, 0.04)),
+}
+"""Hidden pixels, and the middle of what they hide of the plate [m]."""
+
+
+@pytest.mark.parametrize("grey", [0, 120])
+@pytest.mark.parametrize("name", HIDDEN)
+def test_a_hidden_region_is_named_with_its_place(name, grey, rng):
     image = cast(Look(), GRID, GREYS, rng)
-    image[:, : image.shape[1] // 2] = grey
-    look, tally = Look(), OverlookedTally()
-    tracker = seen(look.rig(), image)
-    things = tracker.overlooked
-    assert 10 <= sum(not name.startswith("unknown") for name in tracker.parts.ids) <= 12
-    tally.add(len(tracker.parts.ids), things, things["radius_px"] / 1111)
+    pixels, (x, y) = HIDDEN[name]
+    image[pixels] = grey
+    tracker = seen(Look().rig(), image)
+    parts, things = tracker.parts.position, tracker.overlooked
+    radius, tally = things["radius_px"] / 1111, OverlookedTally()
+    beside = is_separate_object(things, radius, 0.008, parts)
+    tally.add(len(parts), things[beside], radius[beside])
     found = tally.finding(Expected(0.008, 0.008))
     assert found.level == Level.WARN
-    assert "covers the plate" in found.message
+    place = re.search(r"plate around \((\S+), (\S+)\) m", found.message)
+    assert [float(value) for value in place.groups()] == pytest.approx([x, y], abs=0.006)

@@ -4,7 +4,14 @@ Other packages use the names below. `calibrate_camera` is the program `calibrate
 """
 
 from .boards import Board, LensFit, draw_board, find_board, fit_lens
-from .encodings import bits_hint, decode, decode_file, grey_levels, is_wide, is_wide_file
+from .encodings import (
+    bits_hint,
+    decode,
+    decode_file,
+    grey_levels,
+    largest_in_file,
+    largest_number,
+)
 from .files import Pictures, load_lens, read_pictures, rig_of_picture, save_lens, write_picture
 from .lens import (
     Calibration,
@@ -37,8 +44,8 @@ __all__ = [
     "find_markers",
     "fit_lens",
     "grey_levels",
-    "is_wide",
-    "is_wide_file",
+    "largest_in_file",
+    "largest_number",
     "lens_keys",
     "load_lens",
     "read_pictures",

@@ -68,8 +68,14 @@ minimum of a wrong byte order, and `SMOOTH` the maximum of the right one."""
 PNG_DEPTH = 24
 """Position of the byte that contains the bit depth in a PNG file [bytes]."""
 
-BRIGHT = 127
-"""Maximum grey level of an 8-bit image that does not use the highest bit."""
+BLOCKS, MIN_SIDE = 64, 64
+"""BLOCKS: approximate number of 2 x 2 blocks along each side of an image in which a mosaic is
+searched. MIN_SIDE: minimum width and height of such an image [px]. In a smaller image, a gradient
+of the light looks like a mosaic."""
+
+MOSAIC = 0.05
+"""Minimum range of the means of the four pixels of 2 x 2 blocks in a mosaic, relative to the mean
+of all pixels [-]. In grey images, the range is below 0.02. In raw Bayer data, it is 0.2 to 0.6."""
 
 COMPRESSED = ("JPEG", "PNG", "TIFF", "WebP")
 """Formats of sensor_msgs/CompressedImage that are read."""
@@ -132,6 +138,8 @@ def decode(
         wide = np.ascontiguousarray(pixels).view(">u2" if big_endian else "<u2")
         check_byte_order(wide, big_endian)
         pixels = to_8_bits(wide, bits)
+    if channels == 1:
+        check_mosaic(pixels, kind)
     return to_colour(pixels if channels == 1 else pixels.reshape(height, width, channels), kind)
 
 
@@ -192,7 +200,11 @@ def decode_file(
     if pixels.dtype == np.uint16:
         pixels = to_8_bits(pixels, bits)
     kind = ENCODINGS.get(form.split(";")[0].strip(), ("", 1))[0]
-    return to_colour(pixels, kind) if kind in BAYER and pixels.ndim == 2 else pixels
+    if pixels.ndim == 3:
+        return pixels
+    kind = kind if kind in BAYER else "mono"
+    check_mosaic(pixels, kind)
+    return to_colour(pixels, kind)
 
 
 def check_byte_order(wide: np.ndarray, big_endian: bool) -> None:
@@ -216,6 +228,44 @@ def check_byte_order(wide: np.ndarray, big_endian: bool) -> None:
         )
 
 
+def check_mosaic(pixels: np.ndarray, kind: str) -> None:
+    """Refuse a mosaic (H, W) uint8 that is not of the declared kind, a key of `CODES`.
+
+    In a grey image, pixels in even and odd rows and columns have the same mean. In raw Bayer data,
+    the two green pixels of each 2 x 2 block have the same mean, and the others have another mean.
+
+    Raises
+    ------
+    ImageError
+        If a grey image is a mosaic, or if the green pixels of a Bayer pattern are at other places.
+    """
+    height, width = (side // 2 for side in pixels.shape)
+    if min(height, width) < MIN_SIDE // 2:
+        return
+    blocks = pixels[: 2 * height, : 2 * width].reshape(height, 2, width, 2)
+    step = max(1, height // BLOCKS), max(1, width // BLOCKS)
+    mean = blocks[:: step[0], :, :: step[1]].mean(axis=(0, 2))
+    limit = MOSAIC * float(mean.mean())
+    spread = float(np.ptp(mean))
+    if spread <= limit:
+        return
+    if kind == "mono":
+        raise ImageError(
+            f"image: pixels in even and odd rows or columns differ by {spread:.0f} grey levels, as "
+            "in raw Bayer or YUV data, allowed: an encoding that describes the data, such as "
+            "bayer_rggb8; set it, or mono8 with conversion, in the camera's driver"
+        )
+    gaps = abs(mean[0, 0] - mean[1, 1]), abs(mean[0, 1] - mean[1, 0])
+    on_diagonal = kind[len("bayer_")] == "g"
+    green, other = gaps if on_diagonal else gaps[::-1]
+    if green > limit and other < 0.25 * green:
+        allowed = "bayer_rggb or bayer_bggr" if on_diagonal else "bayer_grbg or bayer_gbrg"
+        raise ImageError(
+            f"image: encoding is {kind}, but the green pixels have other places, allowed: {allowed}"
+            "; set it in the camera's driver"
+        )
+
+
 def _roughness(wide: np.ndarray) -> float:
     """Return the median difference of neighbours in rows, divided by the range of 90 % of the
     numbers. The result is 0 for a constant image."""
@@ -226,9 +276,20 @@ def _roughness(wide: np.ndarray) -> float:
     return float(np.median(np.abs(numbers[:, NEIGHBOUR:] - numbers[:, :-NEIGHBOUR])) / (high - low))
 
 
-def is_wide(encoding: str) -> bool:
-    """Whether an encoding has 16 bits per number, so that the parameter `bits` applies."""
-    return ENCODINGS.get(encoding, ("", 1))[1] == 2
+def largest_number(
+    data: bytes | bytearray | memoryview, encoding: str, big_endian: bool = False
+) -> int | None:
+    """Return the largest number of a sensor_msgs/Image with 16 bits. The arguments are as in
+    `decode`. Return None for other encodings."""
+    if ENCODINGS[encoding][1] != 2:
+        return None
+    return int(np.frombuffer(data, ">u2" if big_endian else "<u2").max(initial=0))
+
+
+def largest_in_file(content: bytes | bytearray | memoryview) -> int | None:
+    """Return the largest number of a picture's file with 16 bits. Return None for other files."""
+    pixels = decode_picture(bytes(content), cv2.IMREAD_UNCHANGED) if is_wide_file(content) else None
+    return None if pixels is None else int(pixels.max(initial=0))
 
 
 def is_wide_file(content: bytes | bytearray | memoryview) -> bool:
@@ -236,17 +297,19 @@ def is_wide_file(content: bytes | bytearray | memoryview) -> bool:
     return bytes(content[: len(PNG)]) == PNG and len(content) > PNG_DEPTH and content[PNG_DEPTH] > 8
 
 
-def bits_hint(image: np.ndarray, bits: int) -> str:
-    """Return a hint for an image (H, W) or (H, W, 3) uint8 that had 16 bits and is too dark or too
-    bright. The hint suggests another value of `bits`. The result is empty if `bits` is not the
-    reason, or if the image is black."""
-    brightest = int(image.max(initial=0))
-    used = bits - 8 + brightest.bit_length()
-    if brightest > BRIGHT:
-        return f"; if the camera uses more than {bits} bits, increase bits" if bits < 16 else ""
-    if brightest == 0:
+def bits_hint(largest: int | None, bits: int) -> str:
+    """Return a hint for an image that is too dark or too bright. `largest` is the largest 16-bit
+    number of the image. The hint suggests another value of `bits`. The result is empty if `bits` is
+    not the reason, or if the image is black or has 8 bits (None)."""
+    if not largest:
         return ""
-    return f"; if the camera uses only {used} of the {bits} bits, set the parameter bits to {used}"
+    used = max(largest.bit_length(), 8)
+    if used >= bits:
+        return f"; if the camera uses more than {bits} bits, increase bits" if bits < 16 else ""
+    return (
+        f"; the largest of the 16-bit numbers is {largest}: if the camera uses only {used} of the "
+        f"{bits} bits, set the parameter bits to {used}"
+    )
 
 
 def decode_picture(content: bytes, flags: int, header: Header | None = None) -> np.ndarray | None:

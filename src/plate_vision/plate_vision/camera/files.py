@@ -23,7 +23,7 @@ from plate_core.files import YAML_BYTES, check_file, draft, read_file
 from plate_core.yaml_fields import Fields, parse_yaml
 
 from ..errors import CalibrationError, ImageError, check_size
-from .encodings import BRIGHT, check_pixel_count, decode_picture, is_wide_file
+from .encodings import check_pixel_count, decode_picture, largest_in_file
 from .foreign import is_ini, is_opencv, read_ini, read_opencv
 from .headers import AS_STORED, orientation_warning, read_header
 from .lens import Lens
@@ -245,9 +245,10 @@ class Pictures:
         pixels = decode_picture(content, cv2.IMREAD_COLOR, header)
         if pixels is None:
             raise ImageError(f"{file}: cannot be read, allowed: a complete picture ({KINDS})")
-        if is_wide_file(content) and 0 < (brightest := int(pixels.max())) <= BRIGHT:
+        largest = largest_in_file(content)
+        if largest and largest.bit_length() < 16:
             self._warn_once(
-                f"{file.name}: only {8 + brightest.bit_length()} of its 16 bits are used, so it is "
+                f"{file.name}: only {largest.bit_length()} of its 16 bits are used, so it is "
                 "read as a dark picture; multiply its numbers so that they use 16 bits"
             )
         return pixels

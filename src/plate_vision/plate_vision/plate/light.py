@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .. import _kernels
+from ..camera.encodings import grey_levels
 from ..errors import ImageError
 from .region import Region
 
@@ -20,9 +21,10 @@ DARK_PERCENTILE = 95
 plate's minimum brightness, there is too little light. The brightest twentieth of the image is
 ignored, because it may show lamps and reflections."""
 
-BURNT_PERCENTILE = 50
-"""Percentile of an image's brightness that shows too much light. If this percentile is at least
-`BURNT_GREY`, there is too much light, because half of the image is overexposed."""
+BURNT_SHARE, BURNT_PLATE_SHARE = 0.5, 0.2
+"""Fraction of an image, or of the plate in it, that shows too much light. If at least this fraction
+of the pixels is overexposed, there is too much light. White parts usually cover less of the
+plate."""
 
 BURNT_GREY = 254
 """Minimum grey level of an overexposed pixel."""
@@ -118,22 +120,34 @@ def check_complete(image: np.ndarray, region: Region) -> None:
         )
 
 
-def light_problem(image: np.ndarray, min_grey: float) -> str | None:
+def light_problem(image: np.ndarray, min_grey: float, region: Region | None = None) -> str | None:
     """Return a message about a defect of the light in an image (H, W) or (H, W, 3) uint8, or None.
 
-    `min_grey` is the minimum brightness of the plate [grey levels].
+    `min_grey` is the minimum brightness of the plate [grey levels]. If there is a `region`, the
+    plate in this region must be bright enough for `fit_light`.
     """
     sample = image[::EVERY, ::EVERY]
     grey = sample if sample.ndim == 2 else sample[:, :, 1]
-    bright, middle = np.percentile(grey, (DARK_PERCENTILE, BURNT_PERCENTILE))
+    bright = np.percentile(grey, DARK_PERCENTILE)
     if bright < min_grey:
         return (
-            f"{DARK_PERCENTILE} % of the image is darker than {bright:.0f} grey levels, allowed: "
+            f"{DARK_PERCENTILE} % of the image has at most {bright:.0f} grey levels, allowed: "
             f"a plate of at least {min_grey:g}; check that the light is on and the lens is open"
         )
-    if middle >= BURNT_GREY:
+    what, limit = "image", BURNT_SHARE
+    if region is not None:
+        grey = grey[region.usable[::EVERY, ::EVERY]]
+        what, limit = "plate", BURNT_PLATE_SHARE
+    burnt = np.count_nonzero(grey >= BURNT_GREY) / max(grey.size, 1)
+    if burnt >= limit:
         return (
-            f"half of the image is overexposed ({middle:.0f} grey levels), allowed: below "
-            f"{BURNT_GREY}; reduce the exposure time"
+            f"{burnt:.0%} of the {what} is overexposed (at least {BURNT_GREY} grey levels), "
+            f"allowed: less than {limit:.0%}; reduce exposure time, light or reflections"
+        )
+    if region is not None and fit_light(grey_levels(image), region, min_grey) is None:
+        return (
+            f"no plate of at least {min_grey:g} grey levels is visible at corners_px, allowed: an "
+            "evenly lit plate; check light, camera cable and corners_px, and remove what covers "
+            "the plate"
         )
     return None
