@@ -134,12 +134,12 @@ static void unreachables(Draws& draws) {
     put(points);
     const Numbers values = draws.many(cells * unreachable::POINTS, -1, 1);
     const auto best = unreachable::best_triple(given<2>(values, {cells, unreachable::POINTS}));
-    put(best.triple), put(best.places[1]);
+    put(best.triple), put(best.indices[1]);
     unreachable::Circle circle(unreachable::POINTS);
     circle.turn_to(cell[0], cell[2]);
-    Numbers most(unreachable::POINTS);
-    unreachable::upper(circle, places, 0.1, separating.data(), 0.1, most.data());
-    put(most);
+    Numbers maximum(unreachable::POINTS);
+    unreachable::upper(circle, places, 0.1, separating.data(), 0.1, maximum.data());
+    put(maximum);
     put(unreachable::proves(given<2>(cell, {cells, 4}), places, 0.1, separating.data(), 1.0));
 }
 
