@@ -25,27 +25,28 @@
 namespace plate::contacts {
 
 // Change a part's velocity by `speed` [m/s] along n. The position changes as if the velocity had
-// changed `ago` [s] earlier.
-inline void push(const State& state, int i, double speed, double nx, double ny, double ago) {
+// changed `elapsed` [s] earlier.
+inline void change_velocity(const State& state, int i, double speed, double nx, double ny,
+                            double elapsed) {
     state(VX, i) += speed * nx;
     state(VY, i) += speed * ny;
-    state(X, i) += ago * speed * nx;
-    state(Y, i) += ago * speed * ny;
+    state(X, i) += elapsed * speed * nx;
+    state(Y, i) += elapsed * speed * ny;
 }
 
-// Change a part's spin by `spin` [rad/s]. The angle changes as if the spin had changed `ago` [s]
-// earlier.
-inline void turn(const State& state, int i, double spin, double ago) {
+// Change a part's spin by `spin` [rad/s]. The angle changes as if the spin had changed `elapsed`
+// [s] earlier.
+inline void change_spin(const State& state, int i, double spin, double elapsed) {
     state(SPIN, i) += spin;
-    state(ANGLE, i) += ago * spin;
+    state(ANGLE, i) += elapsed * spin;
 }
 
 // Return the depth [m] of the overlap of two discs, or 0 if they do not overlap.
 inline double overlap(const State& state, Bodies bodies, int i, int j) {
     const double dx = state(X, i) - state(X, j), dy = state(Y, i) - state(Y, j);
     const double size = bodies[i].radius + bodies[j].radius;
-    const double lack = size * size - dx * dx - dy * dy;
-    return lack > 0 ? lack / (size + std::sqrt(dx * dx + dy * dy)) : 0.0;
+    const double overlap2 = size * size - dx * dx - dy * dy;
+    return overlap2 > 0 ? overlap2 / (size + std::sqrt(dx * dx + dy * dy)) : 0.0;
 }
 
 // If two discs touch, apply their collision to the state. Return the depth [m] of their overlap.
@@ -54,49 +55,50 @@ inline double collide_discs(const State& state, Bodies bodies, int i, int j, con
                             double step) {
     double dx = state(X, i) - state(X, j), dy = state(Y, i) - state(Y, j);
     const double ri = bodies[i].radius, rj = bodies[j].radius, size = ri + rj;
-    const double distance2 = dx * dx + dy * dy, lack = size * size - distance2;
-    if (lack <= 0) return 0.0;
+    const double distance2 = dx * dx + dy * dy, overlap2 = size * size - distance2;
+    if (overlap2 <= 0) return 0.0;
     const double wx = state(VX, i) - state(VX, j), wy = state(VY, i) - state(VY, j);
     const double closing = -(wx * dx + wy * dy);
-    double far = std::sqrt(distance2), ago = 0.0;
-    const double depth = lack / (size + far);
+    double distance = std::sqrt(distance2), elapsed = 0.0;
+    const double depth = overlap2 / (size + distance);
     if (closing > 0) {  // solve |d - ago w| = size for the time since the first touch
-        ago = lack / (closing + std::sqrt(closing * closing + (wx * wx + wy * wy) * lack));
-        const bool within = ago <= step;
-        if (!within) ago = step;
-        dx -= ago * wx, dy -= ago * wy;
-        far = within ? size : std::sqrt(dx * dx + dy * dy);
+        elapsed =
+            overlap2 / (closing + std::sqrt(closing * closing + (wx * wx + wy * wy) * overlap2));
+        const bool within = elapsed <= step;
+        if (!within) elapsed = step;
+        dx -= elapsed * wx, dy -= elapsed * wy;
+        distance = within ? size : std::sqrt(dx * dx + dy * dy);
     } else if (depth <= KEPT) {
         return depth;
     }
     // If both centres coincide, the normal is arbitrary.
-    const double nx = far > 0 ? dx / far : 1.0, ny = far > 0 ? dy / far : 0.0;
-    const double mi = bodies[i].mass_inverse, mj = bodies[j].mass_inverse, light = mi + mj;
-    double left = depth - KEPT;
+    const double nx = distance > 0 ? dx / distance : 1.0, ny = distance > 0 ? dy / distance : 0.0;
+    const double mi = bodies[i].mass_inverse, mj = bodies[j].mass_inverse, inverse_mass = mi + mj;
+    double remaining = depth - KEPT;
     if (closing > 0) {
-        const double gain = (1 + rules.restitution) * std::max(0.0, -(wx * nx + wy * ny));
-        left -= ago * gain;
-        push(state, i, mi * gain / light, nx, ny, ago);
-        push(state, j, -mj * gain / light, nx, ny, ago);
+        const double speed_change = (1 + rules.restitution) * std::max(0.0, -(wx * nx + wy * ny));
+        remaining -= elapsed * speed_change;
+        change_velocity(state, i, mi * speed_change / inverse_mass, nx, ny, elapsed);
+        change_velocity(state, j, -mj * speed_change / inverse_mass, nx, ny, elapsed);
         if (rules.friction > 0) {
-            const double arm = far - ri;
+            const double arm = distance - ri;
             const double ti = mi * ri / bodies[i].gyration2, tj = mj * arm / bodies[j].gyration2;
             const double along = wy * nx - wx * ny - ri * state(SPIN, i) - arm * state(SPIN, j);
-            const double maximum = rules.friction * gain / light;
-            const double drag =
-                std::min(std::max(-along / (light + ri * ti + arm * tj), -maximum), maximum);
-            push(state, i, mi * drag, -ny, nx, ago);
-            push(state, j, -mj * drag, -ny, nx, ago);
-            turn(state, i, -ti * drag, ago);
-            turn(state, j, -tj * drag, ago);
+            const double maximum = rules.friction * speed_change / inverse_mass;
+            const double tangential_impulse =
+                std::min(std::max(-along / (inverse_mass + ri * ti + arm * tj), -maximum), maximum);
+            change_velocity(state, i, mi * tangential_impulse, -ny, nx, elapsed);
+            change_velocity(state, j, -mj * tangential_impulse, -ny, nx, elapsed);
+            change_spin(state, i, -ti * tangential_impulse, elapsed);
+            change_spin(state, j, -tj * tangential_impulse, elapsed);
         }
     }
-    if (left > 0) {
-        left /= light;
-        state(X, i) += mi * left * nx;
-        state(Y, i) += mi * left * ny;
-        state(X, j) -= mj * left * nx;
-        state(Y, j) -= mj * left * ny;
+    if (remaining > 0) {
+        remaining /= inverse_mass;
+        state(X, i) += mi * remaining * nx;
+        state(Y, i) += mi * remaining * ny;
+        state(X, j) -= mj * remaining * nx;
+        state(Y, j) -= mj * remaining * ny;
     }
     return depth;
 }
@@ -112,27 +114,28 @@ inline void collide_with_wall(const State& state, Bodies bodies, int i, double d
     double wx = state(VX, i) - state(VX, wall), wy = state(VY, i) - state(VY, wall);
     const double spin = state(SPIN, wall), arm = radius - 0.5 * depth;
     const double closing = -nx * (wx + spin * (ry - arm * ny)) - ny * (wy - spin * (rx - arm * nx));
-    double left = depth - KEPT;
+    double remaining = depth - KEPT;
     if (closing > 0) {
-        const double ago = std::min(depth / closing, step);
+        const double elapsed = std::min(depth / closing, step);
         // contact point at the time of the contact
-        const double px = rx - ago * wx - radius * nx, py = ry - ago * wy - radius * ny;
+        const double px = rx - elapsed * wx - radius * nx, py = ry - elapsed * wy - radius * ny;
         wx += spin * py, wy -= spin * px;
-        const double gain = (1 + rules.restitution) * std::max(0.0, -(wx * nx + wy * ny));
-        left -= ago * gain;
-        push(state, i, gain, nx, ny, ago);
+        const double speed_change = (1 + rules.restitution) * std::max(0.0, -(wx * nx + wy * ny));
+        remaining -= elapsed * speed_change;
+        change_velocity(state, i, speed_change, nx, ny, elapsed);
         if (rules.friction > 0) {
-            const double roll = radius / bodies[i].gyration2;
+            const double spin_per_impulse = radius / bodies[i].gyration2;
             const double along = wy * nx - wx * ny - radius * state(SPIN, i);
-            const double maximum = rules.friction * gain;
-            const double drag = std::min(std::max(-along / (1 + radius * roll), -maximum), maximum);
-            push(state, i, drag, -ny, nx, ago);
-            turn(state, i, -roll * drag, ago);
+            const double maximum = rules.friction * speed_change;
+            const double tangential_impulse =
+                std::min(std::max(-along / (1 + radius * spin_per_impulse), -maximum), maximum);
+            change_velocity(state, i, tangential_impulse, -ny, nx, elapsed);
+            change_spin(state, i, -spin_per_impulse * tangential_impulse, elapsed);
         }
     }
-    if (left > 0) {
-        state(X, i) += left * nx;
-        state(Y, i) += left * ny;
+    if (remaining > 0) {
+        state(X, i) += remaining * nx;
+        state(Y, i) += remaining * ny;
     }
 }
 

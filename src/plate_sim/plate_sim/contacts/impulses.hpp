@@ -83,20 +83,21 @@ inline bool closes(const State& state, int i, int j, const Manifold& contact) {
 
 // Return the time [s] since the first contact of two approaching parts. The time is estimated from
 // the depths of the overlap and the closing speeds. The result is at most `step`.
-inline double touched(const State& state, int i, int j, const Manifold& contact, double step) {
-    double ago = 0.0;
+inline double time_since_contact(const State& state, int i, int j, const Manifold& contact,
+                                 double step) {
+    double elapsed = 0.0;
     for (int k = 0; k < contact.count; k++) {
         const double closing = closing_speed(state, i, j, contact, k);
-        if (closing > 0) ago = std::max(ago, std::min(contact.depth[k] / closing, step));
+        if (closing > 0) elapsed = std::max(elapsed, std::min(contact.depth[k] / closing, step));
     }
-    return ago;
+    return elapsed;
 }
 
 // Return the vectors from the centres to contact point k at the time of the contact, which was
-// `ago` [s] earlier. If `radius` is not 0, the first part is a disc. `wall` states whether the
+// `elapsed` [s] earlier. If `radius` is not 0, the first part is a disc. `wall` states whether the
 // second body is a wall.
 inline Arm arm_of(const State& state, int i, int j, double radius, bool wall,
-                  const Manifold& contact, int k, double ago) {
+                  const Manifold& contact, int k, double elapsed) {
     Arm arm;
     if (radius > 0) {
         arm.first = {-radius * contact.normal.x, -radius * contact.normal.y};
@@ -104,14 +105,15 @@ inline Arm arm_of(const State& state, int i, int j, double radius, bool wall,
         auto [px, py] = contact.point[k];
         const Vec a = velocity(state, i, px - state(X, i), py - state(Y, i));
         const Vec b = velocity(state, j, px - state(X, j), py - state(Y, j));
-        const double share = wall ? 0.0 : 0.5;
-        px -= ago * (share * a.x + (1 - share) * b.x);
-        py -= ago * (share * a.y + (1 - share) * b.y);
-        arm.first = {px - state(X, i) + ago * state(VX, i), py - state(Y, i) + ago * state(VY, i)};
+        const double weight = wall ? 0.0 : 0.5;
+        px -= elapsed * (weight * a.x + (1 - weight) * b.x);
+        py -= elapsed * (weight * a.y + (1 - weight) * b.y);
+        arm.first = {px - state(X, i) + elapsed * state(VX, i),
+                     py - state(Y, i) + elapsed * state(VY, i)};
     }
     const double wx = state(VX, i) - state(VX, j), wy = state(VY, i) - state(VY, j);
-    arm.second = {arm.first.x + state(X, i) - state(X, j) - ago * wx,
-                  arm.first.y + state(Y, i) - state(Y, j) - ago * wy};
+    arm.second = {arm.first.x + state(X, i) - state(X, j) - elapsed * wx,
+                  arm.first.y + state(Y, i) - state(Y, j) - elapsed * wy};
     return arm;
 }
 
@@ -137,8 +139,8 @@ inline double compliance(const Arm& arm, const Arm& other, Vec n, const Inertia&
 
 // Apply an impulse along n to both parts. The impulse changes their velocities (row VX) or their
 // positions (row X).
-inline void push(const State& state, int i, int j, const Arm& arm, Vec n, double impulse,
-                 const Inertia& inertia, int row) {
+inline void apply_impulse(const State& state, int i, int j, const Arm& arm, Vec n, double impulse,
+                          const Inertia& inertia, int row) {
     const auto [a, b] = arm;
     state(row, i) += impulse * inertia.first * n.x;
     state(row + 1, i) += impulse * inertia.first * n.y;
@@ -153,13 +155,14 @@ inline void push(const State& state, int i, int j, const Arm& arm, Vec n, double
 //     j >= 0,  v + H j >= 0,  j . (v + H j) = 0
 // Here, v = (v0, v1) are the relative speeds [m/s] along n at the points, and H is the matrix of
 // compliances.
-struct Smallest {
-    double at[2] = {0.0, 0.0};
+struct MinimumImpulses {
+    double impulse[2] = {0.0, 0.0};
 
-    Smallest(const Arm arms[2], Vec n, const Inertia& inertia, double v0, double v1, int count) {
+    MinimumImpulses(const Arm arms[2], Vec n, const Inertia& inertia, double v0, double v1,
+                    int count) {
         const double h00 = compliance(arms[0], arms[0], n, inertia);
         const double j0 = std::max(0.0, -v0 / h00);
-        at[0] = j0;
+        impulse[0] = j0;
         if (count == 1) return;
         const double h11 = compliance(arms[1], arms[1], n, inertia);
         const double h01 = compliance(arms[0], arms[1], n, inertia);
@@ -167,12 +170,12 @@ struct Smallest {
         const double j1 = std::max(0.0, -v1 / h11);
         const double det = h00 * h11 - h01 * h01;
         if (v1 < 0 && v0 + h01 * j1 >= 0)
-            at[0] = 0.0, at[1] = j1;
+            impulse[0] = 0.0, impulse[1] = j1;
         else if (det > RANK * h00 * h11)
-            at[0] = std::max(0.0, (h01 * v1 - h11 * v0) / det),
-            at[1] = std::max(0.0, (h01 * v0 - h00 * v1) / det);
+            impulse[0] = std::max(0.0, (h01 * v1 - h11 * v0) / det),
+            impulse[1] = std::max(0.0, (h01 * v0 - h00 * v1) / det);
         else
-            at[0] = 0.5 * j0, at[1] = 0.5 * j1;
+            impulse[0] = 0.5 * j0, impulse[1] = 0.5 * j1;
     }
 };
 
@@ -181,20 +184,20 @@ struct Smallest {
 inline void bounce(const State& state, int i, int j, const Arm arms[2], Vec n,
                    const Inertia& inertia, int count, double v0, double v1, const Rules& rules) {
     const Vec t{-n.y, n.x};
-    const double still = ROUNDING * std::max(std::abs(v0), std::abs(v1));
-    const double raised = 1 + rules.restitution;
-    for (int rebound = 0; rebound < REBOUNDS; rebound++) {
-        if (v0 >= -still && v1 >= -still) break;
-        const Smallest minimum(arms, n, inertia, v0, v1, count);
+    const double zero_speed = ROUNDING * std::max(std::abs(v0), std::abs(v1));
+    const double rebound = 1 + rules.restitution;
+    for (int iteration = 0; iteration < REBOUNDS; iteration++) {
+        if (v0 >= -zero_speed && v1 >= -zero_speed) break;
+        const MinimumImpulses minimum(arms, n, inertia, v0, v1, count);
         for (int k = 0; k < count; k++)
-            push(state, i, j, arms[k], n, raised * minimum.at[k], inertia, VX);
+            apply_impulse(state, i, j, arms[k], n, rebound * minimum.impulse[k], inertia, VX);
         for (int k = 0; k < count; k++) {
-            const double maximum = rules.friction * raised * minimum.at[k];
+            const double maximum = rules.friction * rebound * minimum.impulse[k];
             if (maximum > 0) {
-                const double drag =
+                const double friction =
                     -speed(state, i, j, arms[k], t) / compliance(arms[k], arms[k], t, inertia);
-                push(state, i, j, arms[k], t, std::min(std::max(drag, -maximum), maximum), inertia,
-                     VX);
+                apply_impulse(state, i, j, arms[k], t,
+                              std::min(std::max(friction, -maximum), maximum), inertia, VX);
             }
         }
         // Friction may have caused a new closing speed, so compute the speeds again for the next
@@ -213,12 +216,12 @@ inline void bounce(const State& state, int i, int j, const Arm arms[2], Vec n,
 inline void collide(const State& state, Bodies bodies, int i, int j, Manifold contact,
                     const Rules& rules, double step) {
     const Body &a = bodies[i], &b = bodies[j];
-    const double ago = touched(state, i, j, contact, step);
+    const double elapsed = time_since_contact(state, i, j, contact, step);
     const int count = contact.count;
     const Vec n = contact.normal;
     Arm arms[2]{};
     for (int k = 0; k < count; k++)
-        arms[k] = arm_of(state, i, j, a.radius, b.mass_inverse == 0, contact, k, ago);
+        arms[k] = arm_of(state, i, j, a.radius, b.mass_inverse == 0, contact, k, elapsed);
     const Inertia inertia{a.mass_inverse, a.mass_inverse / a.gyration2, b.mass_inverse,
                           b.mass_inverse / b.gyration2};
     double before[3][2], v[2] = {0.0, 0.0};
@@ -226,18 +229,18 @@ inline void collide(const State& state, Bodies bodies, int i, int j, Manifold co
     for (int k = 0; k < count; k++) v[k] = speed(state, i, j, arms[k], n);
     bounce(state, i, j, arms, n, inertia, count, v[0], v[1], rules);
     for (int d = 0; d < 3; d++) {
-        state(X + d, i) += ago * (state(VX + d, i) - before[d][0]);
-        state(X + d, j) += ago * (state(VX + d, j) - before[d][1]);
+        state(X + d, i) += elapsed * (state(VX + d, i) - before[d][0]);
+        state(X + d, j) += elapsed * (state(VX + d, j) - before[d][1]);
     }
     for (int k = 0; k < count; k++)
-        contact.depth[k] -= ago * (speed(state, i, j, arms[k], n) - v[k]);
+        contact.depth[k] -= elapsed * (speed(state, i, j, arms[k], n) - v[k]);
     for (int k = 0; k < count; k++) {
-        const double left = contact.depth[k] - KEPT;
-        if (left > 0) {
-            const double give = left / compliance(arms[k], arms[k], n, inertia);
-            push(state, i, j, arms[k], n, give, inertia, X);
+        const double remaining = contact.depth[k] - KEPT;
+        if (remaining > 0) {
+            const double displacement = remaining / compliance(arms[k], arms[k], n, inertia);
+            apply_impulse(state, i, j, arms[k], n, displacement, inertia, X);
             if (count == 2 && k == 0)
-                contact.depth[1] -= give * compliance(arms[0], arms[1], n, inertia);
+                contact.depth[1] -= displacement * compliance(arms[0], arms[1], n, inertia);
         }
     }
 }

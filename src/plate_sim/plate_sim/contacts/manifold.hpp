@@ -51,9 +51,9 @@ inline Manifold disc_polygon(double cx, double cy, double radius, Corners corner
     int side = -1;
     for (int k = 0; k < static_cast<int>(corners.size()); k++) {
         const Corner& corner = corners[k];
-        const double apart = corner.out_x * (cx - corner.x) + corner.out_y * (cy - corner.y);
-        if (apart >= radius || (apart > 0 && corner.open == 0)) return {};
-        if (apart > maximum && corner.open != 0) maximum = apart, side = k;
+        const double distance = corner.out_x * (cx - corner.x) + corner.out_y * (cy - corner.y);
+        if (distance >= radius || (distance > 0 && corner.open == 0)) return {};
+        if (distance > maximum && corner.open != 0) maximum = distance, side = k;
     }
     if (side < 0) return {};
     double nx = corners[side].out_x, ny = corners[side].out_y;
@@ -156,21 +156,21 @@ inline Manifold polygon_polygon(Corners first, Corners second) {
 
 // Return the contact of an outline and a wall. `wall` is a point on the wall, and n is the wall's
 // inward normal.
-inline Manifold polygon_wall(Corners rim, Vec wall, Vec n) {
+inline Manifold polygon_wall(Corners outline, Vec wall, Vec n) {
     Manifold contact{0, n};
-    for (const Corner& corner : rim) {
+    for (const Corner& corner : outline) {
         const double depth = n.x * (wall.x - corner.x) + n.y * (wall.y - corner.y);
         if (depth <= 0) continue;
         // Keep the two contact points with the greatest depth.
-        int at = contact.count;
-        if (at < 2) {
+        int index = contact.count;
+        if (index < 2) {
             contact.count++;
         } else {
-            at = contact.depth[0] < contact.depth[1] ? 0 : 1;
-            if (depth <= contact.depth[at]) continue;
+            index = contact.depth[0] < contact.depth[1] ? 0 : 1;
+            if (depth <= contact.depth[index]) continue;
         }
-        contact.point[at] = {corner.x + 0.5 * depth * n.x, corner.y + 0.5 * depth * n.y};
-        contact.depth[at] = depth;
+        contact.point[index] = {corner.x + 0.5 * depth * n.x, corner.y + 0.5 * depth * n.y};
+        contact.depth[index] = depth;
     }
     return contact;
 }

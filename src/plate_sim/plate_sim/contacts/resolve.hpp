@@ -49,10 +49,10 @@ struct Outlines {
         : pieces(the_pieces), corners(the_corners), placed(the_corners.size()) {}
 
     // Return the corners of a piece in plate_home.
-    Corners operator[](int piece) const { return rim(piece, piece + 1); }
+    Corners operator[](int piece) const { return outline(piece, piece + 1); }
 
     // Return the corners of the pieces with the indices `first` to `end` - 1 in plate_home.
-    Corners rim(int first, int end) const {
+    Corners outline(int first, int end) const {
         return {placed.data() + pieces[first].first, placed.data() + pieces[end - 1].end};
     }
 
@@ -95,11 +95,11 @@ inline Touch touch(const State& state, Bodies bodies, int i, int j, Outlines& ou
 }
 
 // The pair of overlapping parts with the maximum relative depth: indices of the parts, depth of the
-// overlap [m], and relative depth `share`. The relative depth is the depth divided by `slim` of the
+// overlap [m], and `relative_depth`. The relative depth is the depth divided by `slim` of the
 // slimmer part. The values are -1, -1, 0, 0 if no parts overlap.
 struct Overlap {
     int first = -1, second = -1;
-    double depth = 0.0, share = 0.0;
+    double depth = 0.0, relative_depth = 0.0;
 };
 
 inline Overlap deepest_overlap(const State& state, Bodies bodies, Outlines& outlines,
@@ -113,8 +113,8 @@ inline Overlap deepest_overlap(const State& state, Bodies bodies, Outlines& outl
             const Touch maximum = touch(state, bodies, i, j, outlines);
             i = maximum.i, j = maximum.j, depth = maximum.depth;
         }
-        const double share = depth / std::min(bodies[i].slim, bodies[j].slim);
-        if (share > worst.share) worst = {i, j, depth, share};
+        const double relative_depth = depth / std::min(bodies[i].slim, bodies[j].slim);
+        if (relative_depth > worst.relative_depth) worst = {i, j, depth, relative_depth};
     }
     return worst;
 }
@@ -123,7 +123,7 @@ inline Overlap deepest_overlap(const State& state, Bodies bodies, Outlines& outl
 struct Contacts {
     State state;
     Bodies bodies;
-    View<const bool, 1> here;  // (M,): whether each part is on the plate
+    View<const bool, 1> on_plate;  // (M,): whether each part is on the plate
     Outlines outlines;
     Rules rules;
     double step;                // duration of a step [s]
@@ -139,14 +139,14 @@ struct Contacts {
         const double twist[] = {plate.x, plate.y, plate.theta, plate.vx, plate.vy, plate.spin};
         for (int row = 0; row < 6; row++) state(row, wall) = twist[row];
         const double c = std::cos(plate.theta), s = std::sin(plate.theta);
-        close.resize(pairs.size() + 1), edge.resize(here.size(0) + 1);
-        int count = 0, outer = 0;
+        close.resize(pairs.size() + 1), edge.resize(on_plate.size(0) + 1);
+        int count = 0, wall_count = 0;
         double margin = 0.0, pushed = INFINITE;
         for (int sweep = 0; sweep < SWEEPS; sweep++) {
             if (pushed > margin) {
                 margin = INFINITE;
                 count = close_pairs(pairs, margin);
-                if (rules.walls) outer = near_walls(c, s, margin);
+                if (rules.walls) wall_count = near_walls(c, s, margin);
                 pushed = 0.0;
             }
             double deepest = 0.0;
@@ -158,8 +158,8 @@ struct Contacts {
                 deepest = std::max(deepest, discs ? collide_discs(state, bodies, i, j, rules, step)
                                                   : collide_parts(i, j));
             }
-            for (int k = 0; k < outer; k++)
-                deepest = std::max(deepest, meet_walls(edge[k], c, s));
+            for (int k = 0; k < wall_count; k++)
+                deepest = std::max(deepest, collide_with_walls(edge[k], c, s));
             if (deepest <= OVERLAP) break;
             pushed += PUSHES * deepest;
         }
@@ -187,13 +187,13 @@ struct Contacts {
     int near_walls(double c, double s, double& margin) {
         const int wall = state.walls();
         int count = 0;
-        for (int i = 0; i < here.size(0); i++) {
+        for (int i = 0; i < on_plate.size(0); i++) {
             const double reach = bodies[i].reach, size = (1 + MARGIN) * reach;
             const double rx = state(X, i) - state(X, wall), ry = state(Y, i) - state(Y, wall);
             const bool near = std::abs(c * rx + s * ry) + size > half[0] ||
                               std::abs(c * ry - s * rx) + size > half[1];
             edge[count] = i;
-            count += here(i) && near;
+            count += on_plate(i) && near;
             margin = std::min(margin, MARGIN * reach);
         }
         return count;
@@ -213,25 +213,26 @@ struct Contacts {
 
     // Apply the collisions of a part with the walls. Return the maximum depth [m] of the overlap of
     // the part and a wall.
-    double meet_walls(int i, double c, double s) {
+    double collide_with_walls(int i, double c, double s) {
         const Body& body = bodies[i];
         const int wall = state.walls();
         double deepest = 0.0;
         for (int side = 0; side < 4; side++) {
             const double sign = side % 2 ? -1.0 : 1.0, far = half[side / 2];
             const Vec out = side < 2 ? Vec{sign * c, sign * s} : Vec{-sign * s, sign * c};
-            const Vec at{state(X, wall) + far * out.x, state(Y, wall) + far * out.y};
-            const double apart = (at.x - state(X, i)) * out.x + (at.y - state(Y, i)) * out.y;
-            if (apart >= body.reach) continue;
+            const Vec wall_point{state(X, wall) + far * out.x, state(Y, wall) + far * out.y};
+            const double distance =
+                (wall_point.x - state(X, i)) * out.x + (wall_point.y - state(Y, i)) * out.y;
+            if (distance >= body.reach) continue;
             if (body.radius > 0) {
-                const double depth = body.radius - apart;
+                const double depth = body.radius - distance;
                 deepest = std::max(deepest, depth);
                 collide_with_wall(state, bodies, i, depth, -out.x, -out.y, rules, step);
                 continue;
             }
             outlines.place(state, body, i);
-            const Manifold contact = polygon_wall(outlines.rim(body.first_piece, body.end_piece),
-                                                  at, {-out.x, -out.y});
+            const Manifold contact = polygon_wall(
+                outlines.outline(body.first_piece, body.end_piece), wall_point, {-out.x, -out.y});
             for (int k = 0; k < contact.count; k++) deepest = std::max(deepest, contact.depth[k]);
             if (contact.count > 0) collide(state, bodies, i, wall, contact, rules, step);
         }

@@ -18,7 +18,7 @@ namespace plate {
 
 // Twist of the plate minus the twist of a part, at the part's centre [m/s, m/s, rad/s].
 struct Slip {
-    double x, y, turn;
+    double x, y, spin;
 };
 
 }  // namespace plate
@@ -39,13 +39,13 @@ constexpr double MEANS = 2e-8;
 constexpr double SERIES = 0.25;
 
 // Force [mu m g] and torque [mu m g R] on a disc.
-struct Push {
+struct DiscFriction {
     double force, torque;
 };
 
 // Returns the force, and the torque divided by k, from the power series. The series is valid for
 // k^2 up to `SERIES`.
-[[gnu::always_inline]] inline Push series(double k2) {
+[[gnu::always_inline]] inline DiscFriction series(double k2) {
     double force = -0.00020234903786331415, torque = 0.0001563606201671064;
     force = -0.0002856692299246788 + k2 * force, torque = 0.0002142519224435091 + k2 * torque;
     force = -0.00042191147804260254 + k2 * force, torque = 0.0003047138452529907 + k2 * torque;
@@ -61,10 +61,10 @@ struct Push {
 // Returns force and torque on a disc. The centre of the disc slips with the speed s [m/s]. Rotation
 // adds the speed w [m/s] at its edge. Both speeds must be at least 0, and one of them must be above
 // 0.
-inline Push disc_force(double s, double w) {
+inline DiscFriction disc_force(double s, double w) {
     if (w * w <= SERIES * s * s) {
-        const Push push = series((w / s) * (w / s));
-        return {push.force, push.torque * w / s};
+        const DiscFriction friction = series((w / s) * (w / s));
+        return {friction.force, friction.torque * w / s};
     }
     const double k = s <= w ? s / w : w / s, k2 = std::min(k * k, 1 - 1e-15);
     double a = 1, b = std::sqrt(1 - k2), c = 0.5 * k2 / (1 + b);
@@ -95,13 +95,13 @@ inline Push disc_force(double s, double w) {
 // nearest to z in the convex set of all friction vectors. Therefore z - y(n) is parallel to n. The
 // method of regula falsi computes the angle p of n.
 inline Slip disc_slip_after(const Slip& free, double dv, double gyration2, double radius) {
-    const double arm = std::sqrt(gyration2), rim = radius / arm;
+    const double arm = std::sqrt(gyration2), edge_ratio = radius / arm;
     const double zx = std::sqrt(free.x * free.x + free.y * free.y) / dv;
-    const double zy = arm * std::abs(free.turn) / dv;
-    if (zx + 1.5 * zy / rim <= 1) return {0, 0, 0};
-    if (free.turn == 0) {
-        const double share = zx - 1 > SNAP ? 1 - 1 / zx : 0;
-        return {share * free.x, share * free.y, 0};
+    const double zy = arm * std::abs(free.spin) / dv;
+    if (zx + 1.5 * zy / edge_ratio <= 1) return {0, 0, 0};
+    if (free.spin == 0) {
+        const double factor = zx - 1 > SNAP ? 1 - 1 / zx : 0;
+        return {factor * free.x, factor * free.y, 0};
     }
     double low = 0, high = 0.5 * std::numbers::pi, s_low = -zy, s_high = zx, p = std::atan2(zy, zx);
     double nx = 1, ny = 0, yx = 0, yy = 0;
@@ -110,8 +110,8 @@ inline Slip disc_slip_after(const Slip& free, double dv, double gyration2, doubl
     // same twice, the function value at this end is halved.
     for (int i = 0; i < 60; i++) {
         nx = std::cos(p), ny = std::sin(p);
-        const Push push = disc_force(nx, rim * ny);
-        yx = push.force, yy = push.torque * rim;
+        const DiscFriction friction = disc_force(nx, edge_ratio * ny);
+        yx = friction.force, yy = friction.torque * edge_ratio;
         const double across = (zx - yx) * ny - (zy - yy) * nx;
         if (std::abs(across) <= CLOSE || high - low < 1e-15) break;
         if (across < 0) {
@@ -128,8 +128,8 @@ inline Slip disc_slip_after(const Slip& free, double dv, double gyration2, doubl
     }
     const double size = (zx - yx) * nx + (zy - yy) * ny;
     if (size <= SNAP) return {0, 0, 0};
-    const double share = zx > 0 ? 1 - yx / zx : 0, turn = dv * yy / arm;
-    return {share * free.x, share * free.y, free.turn - (free.turn > 0 ? turn : -turn)};
+    const double factor = zx > 0 ? 1 - yx / zx : 0, spin_loss = dv * yy / arm;
+    return {factor * free.x, factor * free.y, free.spin - (free.spin > 0 ? spin_loss : -spin_loss)};
 }
 
 }  // namespace plate::disc

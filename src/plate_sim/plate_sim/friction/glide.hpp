@@ -21,13 +21,13 @@ constexpr int BLOCK = 16;
 // - x, y, turn: slip of the centre and relative spin
 // - slip2: squared speed of the slip of the centre
 // - edge2: the same as in `Group`
-// - share: `Group::dv` divided by the slip of the centre
+// - factor: `Group::dv` divided by the slip of the centre
 // `force` and `torque` are the friction from `disc::series` in the present stage.
 //
 // Roots and quotients take long. Therefore they are computed as soon as the slip is known, and
 // before the series, which does not need them.
 struct Stages {
-    double x[LANES], y[LANES], turn[LANES], slip2[LANES], edge2[LANES], share[LANES];
+    double x[LANES], y[LANES], turn[LANES], slip2[LANES], edge2[LANES], factor[LANES];
     double force[LANES], torque[LANES];
 };
 
@@ -36,27 +36,27 @@ struct Stages {
 namespace plate {
 
 // Set the constants of part i in its group. Return whether `glide` can advance the part. `step` is
-// the length of a time step [s], and `here` states whether the part is on the plate.
-inline bool describe(const State& state, int i, const Body& body, double step, bool here) {
-    constexpr double none = std::numeric_limits<double>::quiet_NaN();
+// the length of a time step [s], and `on_plate` states whether the part is on the plate.
+inline bool set_constants(const State& state, int i, const Body& body, double step, bool on_plate) {
+    constexpr double never = std::numeric_limits<double>::quiet_NaN();
     const double dv = body.mu_g * step, minimum = stepping::DISC_STIFF / stepping::GENTLE * dv;
-    const bool glides = here && body.radius > 0 && body.even();
+    const bool glides = on_plate && body.radius > 0 && body.is_uniform_disc();
     Group& group = state.group(i);
     const int lane = State::lane(i);
-    group.dv[lane] = dv, group.minimum[lane] = glides && dv > 0 ? minimum * minimum : none;
+    group.dv[lane] = dv, group.minimum[lane] = glides && dv > 0 ? minimum * minimum : never;
     group.radius2[lane] = body.radius * body.radius, group.gyration2[lane] = body.gyration2;
     group.ratio[lane] = group.radius2[lane] / body.gyration2;
-    group.away[lane] = here ? 0 : std::numeric_limits<double>::infinity();
+    group.off_plate[lane] = on_plate ? 0 : std::numeric_limits<double>::infinity();
     return glides;
 }
 
 // Set the slip of part i of a group at the start of a step.
 [[gnu::always_inline]] inline void set_slip(Group& g, int i, const Slip& a) {
-    g.slip[0][i] = a.x, g.slip[1][i] = a.y, g.slip[2][i] = a.turn;
+    g.slip[0][i] = a.x, g.slip[1][i] = a.y, g.slip[2][i] = a.spin;
     const double slip2 = a.x * a.x + a.y * a.y;
-    g.size2[i] = slip2 + g.gyration2[i] * a.turn * a.turn;
-    g.edge2[i] = g.radius2[i] * a.turn * a.turn / slip2;
-    g.share[i] = 0.5 * g.dv[i] / std::sqrt(slip2);
+    g.size2[i] = slip2 + g.gyration2[i] * a.spin * a.spin;
+    g.edge2[i] = g.radius2[i] * a.spin * a.spin / slip2;
+    g.half_factor[i] = 0.5 * g.dv[i] / std::sqrt(slip2);
 }
 
 // Prepare all groups for a sequence of calls of `glide`, the first of which begins at `plate`.
@@ -82,7 +82,7 @@ inline bool describe(const State& state, int i, const Body& body, double step, b
     using namespace stepping;
     const double fall_x = step * ground.gravity_x, fall_y = step * ground.gravity_y;
     const double half = 0.5 * step;
-    double all[LANES] = {};
+    double counts[LANES] = {};
     Stages stages[BLOCK];
     for (; !groups.empty(); groups = groups.subspan(std::min<size_t>(BLOCK, groups.size()))) {
         const int count = std::min<int>(BLOCK, groups.size());
@@ -90,8 +90,8 @@ inline bool describe(const State& state, int i, const Body& body, double step, b
             Stages& s = stages[k];
 #pragma omp simd
             for (int i = 0; i < LANES; i++) {
-                const disc::Push push = disc::series(groups[k].edge2[i]);
-                s.force[i] = push.force, s.torque[i] = push.torque;
+                const disc::DiscFriction friction = disc::series(groups[k].edge2[i]);
+                s.force[i] = friction.force, s.torque[i] = friction.torque;
             }
         }
         for (int k = 0; k < count; k++) {
@@ -102,20 +102,20 @@ inline bool describe(const State& state, int i, const Body& body, double step, b
                 const double vx = g.state[VX][i], vy = g.state[VY][i];
                 const Slip free = slip(plate[1], g.state[X][i] + half * vx,
                                        g.state[Y][i] + half * vy, vx, vy, g.state[SPIN][i]);
-                s.x[i] = free.x - 0.5 * fall_x - g.share[i] * s.force[i] * g.slip[0][i];
-                s.y[i] = free.y - 0.5 * fall_y - g.share[i] * s.force[i] * g.slip[1][i];
-                s.turn[i] = free.turn - g.share[i] * s.torque[i] * g.ratio[i] * g.slip[2][i];
+                s.x[i] = free.x - 0.5 * fall_x - g.half_factor[i] * s.force[i] * g.slip[0][i];
+                s.y[i] = free.y - 0.5 * fall_y - g.half_factor[i] * s.force[i] * g.slip[1][i];
+                s.turn[i] = free.spin - g.half_factor[i] * s.torque[i] * g.ratio[i] * g.slip[2][i];
                 s.slip2[i] = s.x[i] * s.x[i] + s.y[i] * s.y[i];
                 s.edge2[i] = g.radius2[i] * s.turn[i] * s.turn[i] / s.slip2[i];
-                s.share[i] = g.dv[i] / std::sqrt(s.slip2[i]);
+                s.factor[i] = g.dv[i] / std::sqrt(s.slip2[i]);
             }
         }
         for (int k = 0; k < count; k++) {
             Stages& s = stages[k];
 #pragma omp simd
             for (int i = 0; i < LANES; i++) {
-                const disc::Push push = disc::series(s.edge2[i]);
-                s.force[i] = push.force, s.torque[i] = push.torque;
+                const disc::DiscFriction friction = disc::series(s.edge2[i]);
+                s.force[i] = friction.force, s.torque[i] = friction.torque;
             }
         }
         for (int k = 0; k < count; k++) {
@@ -131,24 +131,25 @@ inline bool describe(const State& state, int i, const Body& body, double step, b
                 const double g2 = g.gyration2[i];
                 const Slip a{g.slip[0][i], g.slip[1][i], g.slip[2][i]};
                 const Slip b{s.x[i], s.y[i], s.turn[i]};
-                const double ux = vx + fall_x + s.share[i] * s.force[i] * b.x;
-                const double uy = vy + fall_y + s.share[i] * s.force[i] * b.y;
-                const double uc = spin + s.share[i] * s.torque[i] * g.ratio[i] * b.turn;
+                const double ux = vx + fall_x + s.factor[i] * s.force[i] * b.x;
+                const double uy = vy + fall_y + s.factor[i] * s.force[i] * b.y;
+                const double uc = spin + s.factor[i] * s.torque[i] * g.ratio[i] * b.spin;
                 const double px = x + half * (vx + ux), py = y + half * (vy + uy);
                 const Slip z = slip(plate[2], px, py, ux, uy, uc);
                 const double size2 = g.size2[i], edge2 = std::max(g.edge2[i], s.edge2[i]);
                 set_slip(g, i, z);
                 // Check that the disc slides fast enough, and nearly in one direction (see
-                // `alike`). Like `size2`, the products `middle2` and `end2` are equal to `dot` of a
-                // slip with itself.
-                const double middle2 = s.slip2[i] + g2 * b.turn * b.turn, end2 = g.size2[i];
+                // `same_direction`). Like `size2`, the products `middle2` and `end2` are equal to
+                // `dot` of a slip with itself.
+                const double middle2 = s.slip2[i] + g2 * b.spin * b.spin, end2 = g.size2[i];
                 const double ab = dot(a, b, g2), az = dot(a, z, g2);
-                const double turn = std::min(ab * std::abs(ab) - STEADY * STEADY * size2 * middle2,
-                                             az * std::abs(az) - STEADY * STEADY * size2 * end2);
+                const double alignment =
+                    std::min(ab * std::abs(ab) - STEADY * STEADY * size2 * middle2,
+                             az * std::abs(az) - STEADY * STEADY * size2 * end2);
                 const bool steady = (std::min(size2, middle2) >= g.minimum[i]) &
-                                    (edge2 <= disc::SERIES) & (turn > 0);
-                g.moved[i] = steady ? 1.0 : 0.0;
-                all[i] += g.moved[i];
+                                    (edge2 <= disc::SERIES) & (alignment > 0);
+                g.glided[i] = steady ? 1.0 : 0.0;
+                counts[i] += g.glided[i];
                 next[X][i] = steady ? px : x;
                 next[Y][i] = steady ? py : y;
                 next[ANGLE][i] = steady ? angle + half * (spin + uc) : angle;
@@ -157,12 +158,12 @@ inline bool describe(const State& state, int i, const Body& body, double step, b
                 next[SPIN][i] = steady ? uc : spin;
             }
             for (int row = 0; row < 6; row++) {
-                Four own;
-                load(own, next[row]), store(own, g.state[row]);
+                Four values;
+                load(values, next[row]), store(values, g.state[row]);
             }
         }
     }
-    return static_cast<int>(all[0] + all[1] + all[2] + all[3]);
+    return static_cast<int>(counts[0] + counts[1] + counts[2] + counts[3]);
 }
 
 }  // namespace plate

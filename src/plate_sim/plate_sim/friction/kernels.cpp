@@ -16,8 +16,8 @@ void bind_friction(nb::module_& m) {
     m.def(
         "disc_force",
         [](double s, double w) {
-            const disc::Push push = disc::disc_force(s, w);
-            return std::pair(push.force, push.torque);
+            const disc::DiscFriction friction = disc::disc_force(s, w);
+            return std::pair(friction.force, friction.torque);
         },
         arg("s"), arg("w"));
     m.def(

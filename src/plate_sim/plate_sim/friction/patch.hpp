@@ -82,54 +82,56 @@ struct Points {
 // / m], and an upper bound of the derivative of the friction with respect to the slip [mu g /
 // (m/s)].
 struct Friction {
-    Slip push;
-    double stiff;
+    Slip force;
+    double stiffness;
 };
 
 // Return the friction at point i. The caller must still divide the torque and the bound by
 // gyration2.
 [[gnu::always_inline]] inline Friction friction_at(const Slip& d, double gyration2,
-                                                   const Points& at, int i) {
-    const double x = at.x[i], y = at.y[i], b = at.blur[i];
-    const double u = d.x - d.turn * y, v = d.y + d.turn * x, w = d.turn * b;
-    const double share = at.weight[i] / std::sqrt(u * u + v * v + w * w + TINY);
-    return {{share * u, share * v, share * (x * v - y * u + b * w)},
-            share * (gyration2 + x * x + y * y)};
+                                                   const Points& points, int i) {
+    const double x = points.x[i], y = points.y[i], b = points.blur[i];
+    const double u = d.x - d.spin * y, v = d.y + d.spin * x, w = d.spin * b;
+    const double factor = points.weight[i] / std::sqrt(u * u + v * v + w * w + TINY);
+    return {{factor * u, factor * v, factor * (x * v - y * u + b * w)},
+            factor * (gyration2 + x * x + y * y)};
 }
 
 PLATE_WIDE inline Friction friction(const Slip& d, double gyration2, const Mesh& mesh, int first,
                                     int end) {
-    double fx = 0, fy = 0, fc = 0, stiff = 0;
+    double fx = 0, fy = 0, fc = 0, stiffness = 0;
     for (; first < end; first += BLOCK) {
-        const Points at = points_of(mesh, first, std::min(end, first + BLOCK));
-        if (at.count < FEW) {
-            for (int i = 0; i < at.count; i++) {
-                const Friction one = friction_at(d, gyration2, at, i);
-                fx += one.push.x, fy += one.push.y, fc += one.push.turn, stiff += one.stiff;
+        const Points points = points_of(mesh, first, std::min(end, first + BLOCK));
+        if (points.count < FEW) {
+            for (int i = 0; i < points.count; i++) {
+                const Friction point = friction_at(d, gyration2, points, i);
+                fx += point.force.x, fy += point.force.y, fc += point.force.spin;
+                stiffness += point.stiffness;
             }
             break;
         }
         double ax[BLOCK], ay[BLOCK], ac[BLOCK], change[BLOCK];
 #pragma omp simd
-        for (int i = 0; i < at.count; i++) {
-            const Friction one = friction_at(d, gyration2, at, i);
-            ax[i] = one.push.x, ay[i] = one.push.y, ac[i] = one.push.turn, change[i] = one.stiff;
+        for (int i = 0; i < points.count; i++) {
+            const Friction point = friction_at(d, gyration2, points, i);
+            ax[i] = point.force.x, ay[i] = point.force.y, ac[i] = point.force.spin;
+            change[i] = point.stiffness;
         }
-        for (int i = 0; i < at.count; i++)
-            fx += ax[i], fy += ay[i], fc += ac[i], stiff += change[i];
+        for (int i = 0; i < points.count; i++)
+            fx += ax[i], fy += ay[i], fc += ac[i], stiffness += change[i];
     }
-    return {{fx, fy, fc / gyration2}, stiff / gyration2};
+    return {{fx, fy, fc / gyration2}, stiffness / gyration2};
 }
 
 // Set the points' forces to unit vectors along their slips.
-[[gnu::always_inline]] inline void point_along(const Slip& d, double dv, const Points& at) {
+[[gnu::always_inline]] inline void point_along(const Slip& d, double dv, const Points& points) {
     const double round2 = (ROUND * dv) * (ROUND * dv);
 #pragma omp simd
-    for (int i = 0; i < at.count; i++) {
-        const double u = d.x - d.turn * at.y[i], v = d.y + d.turn * at.x[i];
-        const double w = d.turn * at.blur[i];
+    for (int i = 0; i < points.count; i++) {
+        const double u = d.x - d.spin * points.y[i], v = d.y + d.spin * points.x[i];
+        const double w = d.spin * points.blur[i];
         const double inverse = 1 / std::sqrt(u * u + v * v + w * w + round2);
-        at.fx[i] = u * inverse, at.fy[i] = v * inverse, at.fb[i] = w * inverse;
+        points.fx[i] = u * inverse, points.fy[i] = v * inverse, points.fb[i] = w * inverse;
     }
 }
 
@@ -149,21 +151,22 @@ struct Sums {
     const double round2 = (ROUND * dv) * (ROUND * dv), round = ROUND * dv;
     Sums sum{};
     for (; first < end; first += BLOCK) {
-        const Points at = points_of(mesh, first, std::min(end, first + BLOCK));
+        const Points points = points_of(mesh, first, std::min(end, first + BLOCK));
         double gx[BLOCK], gy[BLOCK], gc[BLOCK], wx[BLOCK], wy[BLOCK], wc[BLOCK], gap[BLOCK];
         double hxx[BLOCK], hyy[BLOCK], hxy[BLOCK], hxc[BLOCK], hyc[BLOCK];
-        double even[BLOCK], mixed[BLOCK];
+        double hcc_squares[BLOCK], hcc_products[BLOCK];
 #pragma omp simd
-        for (int i = 0; i < at.count; i++) {
+        for (int i = 0; i < points.count; i++) {
             // (nx, ny, nb) is the direction of the slip at the point, and (zx, zy, zb) is the
             // force.
-            const double x = at.x[i], y = at.y[i], b = at.blur[i];
-            const double u = d.x - d.turn * y, v = d.y + d.turn * x, w = d.turn * b;
+            const double x = points.x[i], y = points.y[i], b = points.blur[i];
+            const double u = d.x - d.spin * y, v = d.y + d.spin * x, w = d.spin * b;
             const double norm = std::sqrt(u * u + v * v + w * w + round2), inverse = 1 / norm;
             const double nx = u * inverse, ny = v * inverse, nb = w * inverse;
-            const double p = dv * at.weight[i], zx = at.fx[i], zy = at.fy[i], zb = at.fb[i];
-            const double inner = std::sqrt(std::max(0.0, 1 - zx * zx - zy * zy - zb * zb));
-            gap[i] = p * (norm - zx * u - zy * v - zb * w - round * inner);
+            const double p = dv * points.weight[i], zx = points.fx[i], zy = points.fy[i],
+                         zb = points.fb[i];
+            const double sphere_height = std::sqrt(std::max(0.0, 1 - zx * zx - zy * zy - zb * zb));
+            gap[i] = p * (norm - zx * u - zy * v - zb * w - round * sphere_height);
             wx[i] = p * zx;
             wy[i] = p * zy;
             wc[i] = p * (x * zy - y * zx + b * zb);
@@ -180,17 +183,17 @@ struct Sums {
             hxy[i] = axy;
             hxc[i] = -y * axx + x * axy + b * axb;
             hyc[i] = -y * axy + x * ayy + b * ayb;
-            even[i] = y * y * axx + x * x * ayy + b * b * abb;
-            mixed[i] = 2 * (b * x * ayb - b * y * axb - x * y * axy);
+            hcc_squares[i] = y * y * axx + x * x * ayy + b * b * abb;
+            hcc_products[i] = 2 * (b * x * ayb - b * y * axb - x * y * axy);
         }
-        for (int i = 0; i < at.count; i++) {
+        for (int i = 0; i < points.count; i++) {
             sum.gap += gap[i];
-            sum.w.x += wx[i], sum.w.y += wy[i], sum.w.turn += wc[i];
-            sum.g.x += gx[i], sum.g.y += gy[i], sum.g.turn += gc[i];
+            sum.w.x += wx[i], sum.w.y += wy[i], sum.w.spin += wc[i];
+            sum.g.x += gx[i], sum.g.y += gy[i], sum.g.spin += gc[i];
             sum.hxx += hxx[i], sum.hyy += hyy[i], sum.hxy += hxy[i];
             sum.hxc += hxc[i], sum.hyc += hyc[i];
-            sum.hcc += even[i];
-            sum.hcc += mixed[i];
+            sum.hcc += hcc_squares[i];
+            sum.hcc += hcc_products[i];
         }
     }
     return sum;
@@ -198,20 +201,20 @@ struct Sums {
 
 // Update the forces at the points for a Newton step that changes the slip d by s.
 [[gnu::always_inline]] inline void change_forces(const Slip& d, const Slip& s, double dv,
-                                                 const Points& at) {
+                                                 const Points& points) {
     const double round2 = (ROUND * dv) * (ROUND * dv);
 #pragma omp simd
-    for (int i = 0; i < at.count; i++) {
-        const double x = at.x[i], y = at.y[i], b = at.blur[i];
-        const double u = d.x - d.turn * y, v = d.y + d.turn * x, w = d.turn * b;
+    for (int i = 0; i < points.count; i++) {
+        const double x = points.x[i], y = points.y[i], b = points.blur[i];
+        const double u = d.x - d.spin * y, v = d.y + d.spin * x, w = d.spin * b;
         const double inverse = 1 / std::sqrt(u * u + v * v + w * w + round2);
         const double nx = u * inverse, ny = v * inverse, nb = w * inverse;
-        const double tu = (s.x - s.turn * y) * inverse, tv = (s.y + s.turn * x) * inverse;
-        const double tw = s.turn * b * inverse, along = nx * tu + ny * tv + nb * tw;
-        const double zx = nx + tu - at.fx[i] * along, zy = ny + tv - at.fy[i] * along;
-        const double zb = nb + tw - at.fb[i] * along;
+        const double tu = (s.x - s.spin * y) * inverse, tv = (s.y + s.spin * x) * inverse;
+        const double tw = s.spin * b * inverse, along = nx * tu + ny * tv + nb * tw;
+        const double zx = nx + tu - points.fx[i] * along, zy = ny + tv - points.fy[i] * along;
+        const double zb = nb + tw - points.fb[i] * along;
         const double size = std::max(1.0, std::sqrt(zx * zx + zy * zy + zb * zb));
-        at.fx[i] = zx / size, at.fy[i] = zy / size, at.fb[i] = zb / size;
+        points.fx[i] = zx / size, points.fy[i] = zy / size, points.fb[i] = zb / size;
     }
 }
 
@@ -223,10 +226,10 @@ inline Slip solve(double a, double b, double c, double d, double e, double f, Sl
     e -= l1 * c;
     f -= l2 * c;
     right.y -= l1 * right.x;
-    right.turn -= l2 * right.x;
+    right.spin -= l2 * right.x;
     const double l3 = e / d;
     f -= l3 * e;
-    const double s3 = (right.turn - l3 * right.y) / f, s2 = right.y / d - l3 * s3;
+    const double s3 = (right.spin - l3 * right.y) / f, s2 = right.y / d - l3 * s3;
     return {(right.x - b * s2 - c * s3) / a, s2, s3};
 }
 
@@ -238,42 +241,44 @@ inline Slip solve(double a, double b, double c, double d, double e, double f, Sl
 PLATE_WIDE inline Slip slip_after(const Slip& free, double dv, double gyration2, const Mesh& mesh,
                                   int first, int end) {
     const Points all = points_of(mesh, first, end);
-    double far2 = 0, spread = 0;
+    double max_radius2 = 0, spread = 0;
     for (int i = 0; i < all.count; i++) {
         const double r2 = all.x[i] * all.x[i] + all.y[i] * all.y[i];
-        far2 = std::max(far2, r2);
+        max_radius2 = std::max(max_radius2, r2);
         spread += all.weight[i] * r2;
     }
     // The part sticks if forces that vary linearly over the footprint can stop it. This condition
     // is sufficient for sticking, and detects nearly all cases.
-    const double push = free.turn * gyration2 / spread;
-    if (std::sqrt(free.x * free.x + free.y * free.y) + std::abs(push) * std::sqrt(far2) <= dv)
+    const double force_slope = free.spin * gyration2 / spread;
+    if (std::sqrt(free.x * free.x + free.y * free.y) +
+            std::abs(force_slope) * std::sqrt(max_radius2) <=
+        dv)
         return {0, 0, 0};
     Slip d = free;
-    const double size2 = free.x * free.x + free.y * free.y + gyration2 * free.turn * free.turn;
+    const double size2 = free.x * free.x + free.y * free.y + gyration2 * free.spin * free.spin;
     if (size2 > 16 * dv * dv) {  // use forces along the slip, because a fast part keeps sliding
-        const double share = 1 - dv / std::sqrt(size2);
-        d = {share * free.x, share * free.y, share * free.turn};
+        const double factor = 1 - dv / std::sqrt(size2);
+        d = {factor * free.x, factor * free.y, factor * free.spin};
         point_along(d, dv, all);
     }
-    const double enough = 0.5 * ((SLACK * dv) * (SLACK * dv)) + ROUNDING * dv * std::sqrt(size2);
+    const double max_gap = 0.5 * ((SLACK * dv) * (SLACK * dv)) + ROUNDING * dv * std::sqrt(size2);
     Slip w{};
     for (int i = 0; i < ITERATIONS; i++) {
         const Sums sum = sum_up(d, dv, mesh, first, end);
         w = sum.w;
         const double ex = d.x - free.x + w.x, ey = d.y - free.y + w.y;
-        const double ec = d.turn - free.turn + w.turn / gyration2;
-        if (sum.gap + 0.5 * (ex * ex + ey * ey + gyration2 * ec * ec) <= enough) break;
+        const double ec = d.spin - free.spin + w.spin / gyration2;
+        if (sum.gap + 0.5 * (ex * ex + ey * ey + gyration2 * ec * ec) <= max_gap) break;
         const Slip s =
             solve(1 + sum.hxx, sum.hxy, sum.hxc, 1 + sum.hyy, sum.hyc, gyration2 + sum.hcc,
                   {free.x - d.x - sum.g.x, free.y - d.y - sum.g.y,
-                   gyration2 * (free.turn - d.turn) - sum.g.turn});
+                   gyration2 * (free.spin - d.spin) - sum.g.spin});
         change_forces(d, s, dv, all);
-        d = {d.x + s.x, d.y + s.y, d.turn + s.turn};
+        d = {d.x + s.x, d.y + s.y, d.spin + s.spin};
     }
-    if (d.x * d.x + d.y * d.y + gyration2 * d.turn * d.turn <= (SNAP * dv) * (SNAP * dv))
+    if (d.x * d.x + d.y * d.y + gyration2 * d.spin * d.spin <= (SNAP * dv) * (SNAP * dv))
         return {0, 0, 0};
-    return {free.x - w.x, free.y - w.y, free.turn - w.turn / gyration2};
+    return {free.x - w.x, free.y - w.y, free.spin - w.spin / gyration2};
 }
 
 }  // namespace plate::patch

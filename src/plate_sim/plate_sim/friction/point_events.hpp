@@ -55,14 +55,14 @@ struct Bounds {
 };
 
 // State of a sliding part at the start of a step:
-// - slip, surface: magnitudes of its slip [m/s] and of the surface's acceleration [m/s2]
+// - slip, surface_accel: magnitudes of its slip [m/s] and of the surface's acceleration [m/s2]
 // - power: scalar product of the surface's acceleration and the friction acceleration [m2/s4]
 // - allowed: allowed error of the position [m]
-// - line: whether the slip stays on a line
-// - crude: whether the maximum number of steps is exceeded
-struct Slide {
-    double slip, surface, power, allowed;
-    bool line, crude;
+// - on_line: whether the slip stays on a line
+// - coarse: whether the maximum number of steps is exceeded
+struct SlidingState {
+    double slip, surface_accel, power, allowed;
+    bool on_line, coarse;
 };
 
 // Times of the output samples: interval between samples [s], number of samples per cycle, and
@@ -89,14 +89,15 @@ struct Track {
     }
     void put(int j, const Point& part) const {
         double *p = path + j * row, *v = speed + j * row;
-        p[0] = part.place.x, p[1] = part.place.y, v[0] = part.velocity.x, v[1] = part.velocity.y;
+        p[0] = part.position.x, p[1] = part.position.y, v[0] = part.velocity.x,
+        v[1] = part.velocity.y;
     }
 };
 
 // Convert the state of a part from the falling frame to plate_home. The argument t [s] is the time
 // since the start of the fall.
-inline Point fallen(const Point& part, double t, Vec gravity) {
-    return {part.place + 0.5 * t * t * gravity, part.velocity + t * gravity};
+inline Point to_plate_home(const Point& part, double t, Vec gravity) {
+    return {part.position + 0.5 * t * t * gravity, part.velocity + t * gravity};
 }
 
 // Return the largest slip [m/s] that counts as zero. The argument a is the acceleration of the
@@ -110,20 +111,20 @@ inline double zero_slip(double limit, double a, double allowed, double period) {
 // Whether a slip r [m/s] counts as zero if the surface has the acceleration a [m/s2]. One of two
 // conditions must be true: the stopping distance r^2/(2 (limit - a)) is at most `SNAP_SHARE` of the
 // allowed error, or the slip is at most `zero_slip`.
-inline bool calm(double r, double limit, double a, double allowed, double period) {
+inline bool counts_as_zero(double r, double limit, double a, double allowed, double period) {
     return r * r <= 2 * SNAP_SHARE * allowed * (limit - a) ||
            r <= zero_slip(limit, a, allowed, period);
 }
 
 // Return the squared acceleration [m2/s4] of the plate's point q [m, plate frame].
-inline double felt(Table table, double t, int k, Vec q) {
-    const Vec accel = riding(table, t, k, q).accel;
+inline double squared_accel(Table table, double t, int k, Vec q) {
+    const Vec accel = stuck_part(table, t, k, q).accel;
     return dot(accel, accel);
 }
 
 // Whether friction of at most `limit` [m/s2] can hold a part at q [m, plate frame].
 inline bool holds(Table table, double t, int k, Vec q, double limit) {
-    return felt(table, t, k, q) <= limit * limit;
+    return squared_accel(table, t, k, q) <= limit * limit;
 }
 
 // Return the step h [s], limited to `room` [s] and to the end of the present piece of the motion. A
@@ -139,13 +140,13 @@ inline double to_knot(Table table, double t, int k, double h, double room) {
 // Whether the slip may nearly vanish within a step, although it does not reverse at any stage of
 // the step. The magnitude of the slip is approximated by a cubic. The cubic has the correct values
 // and rates at both ends of the step.
-inline bool dips(Table table, double t, int k, double h, const Step& made, const Slide& now,
-                 const Bounds& bounds) {
+inline bool may_stop(Table table, double t, int k, double h, const Step& result,
+                     const SlidingState& now, const Bounds& bounds) {
     const double r = now.slip, limit = bounds.limit;
     const double down = h * (now.power / limit - limit);
     if (down >= 0) return false;
-    const Vec w = slip(table, t + h, k, made.end), a = surface_rate(table, t + h, k, made.end);
-    const double r_end = std::sqrt(dot(w, w)), up = h * (dot(made.force, a) / limit - limit);
+    const Vec w = slip(table, t + h, k, result.end), a = surface_rate(table, t + h, k, result.end);
+    const double r_end = std::sqrt(dot(w, w)), up = h * (dot(result.force, a) / limit - limit);
     if (up <= 0) return false;
     // The cubic is r + down s + b s^2 + c s^3, with s from 0 to 1 during the step.
     const double b = 3 * (r_end - r) - 2 * down - up, c = 2 * (r - r_end) + down + up;
@@ -160,7 +161,7 @@ inline bool dips(Table table, double t, int k, double h, const Step& made, const
 
 // A completed step: length [s], state and friction at its end, and recommended length of the next
 // step, `hint` [s].
-struct Slid {
+struct SlideStep {
     double h;
     Point end;
     Vec force;
@@ -169,42 +170,42 @@ struct Slid {
 
 // Compute one step of a sliding part. The length of the step is at most h [s]. If the slip vanishes
 // during the step, the step ends at this time.
-inline Slid slide(Table table, double t, int k, double h, double hint, const Point& part, Vec force,
-                  const Slide& now, const Bounds& bounds) {
+inline SlideStep slide(Table table, double t, int k, double h, double hint, const Point& part,
+                       Vec force, const SlidingState& now, const Bounds& bounds) {
     const double limit = bounds.limit, period = bounds.period, first = h;
-    const double zero = zero_slip(limit, now.surface, now.allowed, period);
+    const double zero = zero_slip(limit, now.surface_accel, now.allowed, period);
     while (true) {
-        const Step made = now.line ? line_step(table, t, k, h, part, force)
-                                   : runge_kutta(table, t, k, h, part, force, limit);
-        const bool must = h <= FLOOR * period || now.crude;
-        if (made.turned > 0) {
-            const auto [tau, rest, error] =
-                landing(table, t, k, made.turned * h, part, force, now.slip, limit, FINE * zero);
+        const Step result = now.on_line ? line_step(table, t, k, h, part, force)
+                                        : runge_kutta(table, t, k, h, part, force, limit);
+        const bool forced = h <= FLOOR * period || now.coarse;
+        if (result.reversal > 0) {
+            const auto [tau, rest, error] = landing(table, t, k, result.reversal * h, part, force,
+                                                    now.slip, limit, FINE * zero);
             const bool fits = tau > 0 && period * error <= now.allowed && rest <= zero;
-            if (fits || must) {
-                if (fits && !now.crude) h = tau;
-                return {h, even(part, force, h), force, hint};
+            if (fits || forced) {
+                if (fits && !now.coarse) h = tau;
+                return {h, with_constant_friction(part, force, h), force, hint};
             }
-            h = hint = tau > 0 ? 0.7 * tau : 0.4 * made.turned * h;
+            h = hint = tau > 0 ? 0.7 * tau : 0.4 * result.reversal * h;
             continue;
         }
-        const double error = made.place_error + period * made.velocity_error;
-        if (error > now.allowed && !must) {
+        const double error = result.position_error + period * result.velocity_error;
+        if (error > now.allowed && !forced) {
             h = hint = h * std::max(0.2, 0.9 * std::pow(now.allowed / error, 0.2));
             continue;
         }
-        if (!must && dips(table, t, k, h, made, now, bounds)) {
+        if (!forced && may_stop(table, t, k, h, result, now, bounds)) {
             h = hint = 0.5 * h;
             continue;
         }
         // The error of a step is proportional to h^5. The next step is at most 6 times longer,
         // because the error is near 0 for a straight motion. An error near 0 gives no information
         // about longer steps.
-        const double grown =
+        const double growth =
             error * 4000 < now.allowed ? 6 : 0.9 * std::pow(now.allowed / error, 0.2);
-        const bool as_wanted = h == first && first == hint;
-        return {h, made.end, made.force,
-                as_wanted || grown < 1 ? h * grown : std::max(hint, h * grown)};
+        const bool unchanged = h == first && first == hint;
+        return {h, result.end, result.force,
+                unchanged || growth < 1 ? h * growth : std::max(hint, h * growth)};
     }
 }
 
@@ -214,15 +215,15 @@ inline Slid slide(Table table, double t, int k, double h, double hint, const Poi
 // Three times are checked: the middle of the interval, the peak of a parabola, and the end of the
 // interval. The parabola passes through the squared accelerations at the start, in the middle and
 // at the end.
-inline double first_free(Table table, double low, double high, int k, Vec q, double limit) {
+inline double first_release(Table table, double low, double high, int k, Vec q, double limit) {
     const double middle = 0.5 * (low + high), maximum = limit * limit;
-    const double a = felt(table, low, k, q), b = felt(table, middle, k, q);
-    const double c = felt(table, high, k, q);
+    const double a = squared_accel(table, low, k, q), b = squared_accel(table, middle, k, q);
+    const double c = squared_accel(table, high, k, q);
     if (b > maximum) return middle;
     const double bend = a - 2 * b + c;
     if (bend < 0 && std::abs(a - c) < -2 * bend) {
         const double peak = middle + 0.25 * (high - low) * (a - c) / bend;
-        if (felt(table, peak, k, q) > maximum) return peak;
+        if (squared_accel(table, peak, k, q) > maximum) return peak;
     }
     return c > maximum ? high : -1;
 }
@@ -238,7 +239,7 @@ inline double release(Table table, double t, int k, Vec q, double limit) {
         const double width = std::min((end - table[piece].start) / SCAN, period / INTERVALS);
         while (low < end) {
             const double high = std::min(low + width, end);
-            double free = first_free(table, low, high, piece, q, limit);
+            double free = first_release(table, low, high, piece, q, limit);
             if (free < 0) {
                 low = high;
                 continue;
@@ -259,12 +260,12 @@ inline double release(Table table, double t, int k, Vec q, double limit) {
 
 // Write the output samples of a part that sticks at q, from sample j up to the time `until` [s].
 // Return the index of the next sample.
-inline int emit_held(Table table, double until, int k, Vec q, const Grid& grid, int j,
-                     const Track& track) {
+inline int emit_stuck(Table table, double until, int k, Vec q, const Grid& grid, int j,
+                      const Track& track) {
     for (; j < track.count - 1; j++) {
-        const double at = grid.time(j);
-        if (at > until) break;
-        track.put(j, fallen(riding(table, at, k, q).part, at, grid.gravity));
+        const double time = grid.time(j);
+        if (time > until) break;
+        track.put(j, to_plate_home(stuck_part(table, time, k, q).part, time, grid.gravity));
     }
     return j;
 }
@@ -274,18 +275,19 @@ inline int emit_held(Table table, double until, int k, Vec q, const Grid& grid, 
 inline int emit(double t, double h, const Point& start, Vec before, const Point& end, Vec after,
                 const Grid& grid, int j, const Track& track) {
     if (j >= track.count - 1 || grid.time(j) > t + h) return j;
-    const Vec p = start.place, v = start.velocity;
+    const Vec p = start.position, v = start.velocity;
     const double hh = h * h;
-    const Vec d = end.place - p - h * v - 0.5 * hh * before;
+    const Vec d = end.position - p - h * v - 0.5 * hh * before;
     const Vec s = h * (end.velocity - v - h * before), b = hh * (after - before);
     const Vec x3 = 10 * d - 4 * s + 0.5 * b, x4 = -15 * d + 7 * s - b, x5 = 6 * d - 3 * s + 0.5 * b;
     for (; j < track.count - 1; j++) {
         const double tau = grid.time(j) - t;
         if (tau > h) break;
         const double u = tau / h, cube = u * u / h;
-        const Vec place = p + tau * (v + 0.5 * tau * before) + u * u * u * (x3 + u * (x4 + u * x5));
+        const Vec position =
+            p + tau * (v + 0.5 * tau * before) + u * u * u * (x3 + u * (x4 + u * x5));
         const Vec velocity = v + tau * before + cube * (3 * x3 + u * (4 * x4 + u * 5 * x5));
-        track.put(j, fallen({place, velocity}, t + tau, grid.gravity));
+        track.put(j, to_plate_home({position, velocity}, t + tau, grid.gravity));
     }
     return j;
 }
@@ -297,45 +299,46 @@ inline int emit(double t, double h, const Point& start, Vec before, const Point&
 inline std::int64_t run_part(Table table, const Scales& scales, double limit, double static_limit,
                              double tolerance, int cycles, const Track& track) {
     const double period = table.back().end;
-    const bool wraps = table[0].wraps != 0;
+    const bool periodic = table[0].periodic != 0;
     const int count = (track.count - 1) / cycles;
     Point part = track.at(0);
     // `accel` is the approximate maximum acceleration of the surface under the part [m/s2]. `rate`
     // is the maximum rate of change of this acceleration divided by `accel` [1/s].
-    const double arm = std::sqrt(dot(part.place, part.place));
-    const double accel = scales.accel + arm * scales.push;
-    const double jerk = scales.jerk + arm * scales.push_rate, rate = accel > 0 ? jerk / accel : 0;
+    const double arm = std::sqrt(dot(part.position, part.position));
+    const double accel = scales.accel + arm * scales.spin_accel;
+    const double jerk = scales.jerk + arm * scales.spin_jerk, rate = accel > 0 ? jerk / accel : 0;
     const Bounds bounds{limit, period, accel, rate};
-    const double reach = rate * period < 0.5
-                             ? period
-                             : std::max(1 / rate, period / std::max<double>(COARSE, table.size()));
+    const double max_step =
+        rate * period < 0.5 ? period
+                            : std::max(1 / rate, period / std::max<double>(COARSE, table.size()));
     bool stuck = false;
     int done = 0, k = 0, j = 1;
     std::int64_t steps = 0;
-    double t = 0, hint = 0.25 * reach;
+    double t = 0, hint = 0.25 * max_step;
     Vec q{0, 0}, w = slip(table, t, k, part), rate_under = surface_rate(table, t, k, part);
     while (done < cycles) {
         steps++;
         const Grid grid{period / count, count, done, scales.gravity};
         const double left = period - t, r = std::sqrt(dot(w, w));
         const double a = std::sqrt(dot(rate_under, rate_under));
-        const bool ends = done == cycles - 1 || !wraps;
-        const double room = ends ? left : period;
+        const bool stops_at_period = done == cycles - 1 || !periodic;
+        const double room = stops_at_period ? left : period;
         // The allowed error of a step cannot be smaller than the rounding errors of the state.
-        const double size = std::abs(part.place.x) + std::abs(part.place.y) +
+        const double size = std::abs(part.position.x) + std::abs(part.position.y) +
                             period * (std::abs(part.velocity.x) + std::abs(part.velocity.y));
         const double allowed = std::max(STEP_SHARE * tolerance, 1e-15 * size);
-        const bool crude = steps > BUDGET * cycles;
+        const bool coarse = steps > BUDGET * cycles;
         double h = 0;
         Point end = part;
         Vec before{0, 0}, after{0, 0};
-        if (!stuck && !crude && calm(r, limit, a, allowed, period)) {
-            q = in_plate(table, t, k, part.place);
+        if (!stuck && !coarse && counts_as_zero(r, limit, a, allowed, period)) {
+            q = to_plate_frame(table, t, k, part.position);
             stuck = holds(table, t + AHEAD * period, k, q, static_limit);
             if (!stuck) {
-                const Restart made = restart(table, t, k, std::min(0.5 * reach, room), part, limit,
-                                             allowed / period);
-                h = hint = made.tau, end = made.end, before = made.before, after = made.after;
+                const Restart result = restart(table, t, k, std::min(0.5 * max_step, room), part,
+                                               limit, allowed / period);
+                h = hint = result.tau, end = result.end, before = result.before,
+                after = result.after;
                 stuck = h == 0;
             }
         } else if (!stuck) {
@@ -346,33 +349,34 @@ inline std::int64_t run_part(Table table, const Scales& scales, double limit, do
                                  (line.x != 0 || line.y != 0);
             if (on_line) {
                 before = (dot(w, line) > 0 ? limit : -limit) * line;
-                hint = reach;
+                hint = max_step;
             }
-            hint = crude ? period / COARSE : std::min(hint, reach);
+            hint = coarse ? period / COARSE : std::min(hint, max_step);
             const double first = on_line ? std::min(hint, room) : to_knot(table, t, k, hint, room);
-            const Slide now{r, a, dot(before, rate_under), allowed, on_line, crude};
-            const Slid made = slide(table, t, k, first, hint, part, before, now, bounds);
-            h = made.h, end = made.end, after = made.force, hint = made.hint;
+            const SlidingState now{r, a, dot(before, rate_under), allowed, on_line, coarse};
+            const SlideStep result = slide(table, t, k, first, hint, part, before, now, bounds);
+            h = result.h, end = result.end, after = result.force, hint = result.hint;
         }
         if (stuck) {
             const double until = release(table, t + AHEAD * period, k, q, static_limit);
-            j = emit_held(table, until, k, q, grid, j, track);
+            j = emit_stuck(table, until, k, q, grid, j, track);
             h = until - t;
-            end = riding(table, until, k, q).part;
+            end = stuck_part(table, until, k, q).part;
             stuck = until >= period;
-            hint = 0.1 * reach;
+            hint = 0.1 * max_step;
         } else {
             j = emit(t, h, part, before, end, after, grid, j, track);
         }
         part = end;
         t += h;
-        if (t >= period || (h >= left && ends)) {
+        if (t >= period || (h >= left && stops_at_period)) {
             t = std::max(0.0, t - period);
             done++;
             k = 0;
-            if (!wraps) {  // convert the state from the falling frame to plate_home
-                const Point fell = even({part.place, {0, 0}}, scales.gravity, period);
-                part = {fell.place, end.velocity + fell.velocity};
+            if (!periodic) {  // convert the state from the falling frame to plate_home
+                const Point fallen =
+                    with_constant_friction({part.position, {0, 0}}, scales.gravity, period);
+                part = {fallen.position, end.velocity + fallen.velocity};
             }
         }
         w = slip(table, t, k, part);
@@ -397,14 +401,15 @@ inline std::int64_t run_points(Table table, const Scales& scales, const double* 
         checked[i] = true;
         if (limit[i] <= MIN_LIMIT) {
             const double dt = cycles * table.back().end / (rows - 1);
-            const auto [place, velocity] = track.at(0);
+            const auto [position, velocity] = track.at(0);
             for (int j = 1; j < rows; j++)
-                track.put(j, fallen({place + j * dt * velocity, velocity}, j * dt, scales.gravity));
+                track.put(j, to_plate_home({position + j * dt * velocity, velocity}, j * dt,
+                                           scales.gravity));
         } else {
-            const std::int64_t made = run_part(table, scales, limit[i], static_ratio * limit[i],
-                                               tolerance, cycles, track);
-            checked[i] = made <= BUDGET * cycles;
-            steps += made;
+            const std::int64_t result = run_part(table, scales, limit[i], static_ratio * limit[i],
+                                                 tolerance, cycles, track);
+            checked[i] = result <= BUDGET * cycles;
+            steps += result;
         }
     }
     return steps;

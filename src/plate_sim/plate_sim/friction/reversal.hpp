@@ -36,7 +36,7 @@ constexpr double THIN = 1e-5;
 
 // Return the mean of x/|x| over the points x of the segment from `from` to `to`. If both ends are
 // equal, return n.
-inline Vec heading(Vec from, Vec to, Vec n) {
+inline Vec mean_direction(Vec from, Vec to, Vec n) {
     Vec d = to - from;
     const double length2 = dot(d, d);
     if (length2 <= 0) return n;
@@ -89,24 +89,24 @@ inline Reversal reversal(const PlateSample* plate, Vec fall, double static_dv, d
             const Vec r = a + t * b - dv * n;
             t = std::min(std::max(-dot(s, r) / dot(r, r), 0.0), 1.0);
             w = s + t * r;
-            n = heading(s, w, n);
+            n = mean_direction(s, w, n);
             if (std::abs(t - before) <= CLOSE) break;
         }
     }
     // u is the velocity of the disc at the minimum of the slip. The following lines compute the
     // rest of the step.
     const Vec u = v + t * (fall + dv * n);
-    const double left = 1 - t, kick = left * dv;
-    const Vec g = left * (a + (1 + t) * b);
+    const double remaining = 1 - t, remaining_dv = remaining * dv;
+    const Vec g = remaining * (a + (1 + t) * b);
     const double size = std::sqrt(dot(g, g));
     Vec p = size > 0 ? Vec{g.x / size, g.y / size} : Vec{0, 0};
-    for (int i = 0; left > 0 && i < ROUNDS; i++) {
+    for (int i = 0; remaining > 0 && i < ROUNDS; i++) {
         const Vec q = p;
-        p = heading(w, w + g - kick * p, p);
+        p = mean_direction(w, w + g - remaining_dv * p, p);
         if (std::abs(p.x - q.x) + std::abs(p.y - q.y) <= CLOSE) break;
     }
-    const Vec end = u + left * fall + kick * p;
-    return {true, 0.5 * (t * (v + u) + left * (u + end)), end};
+    const Vec end = u + remaining * fall + remaining_dv * p;
+    return {true, 0.5 * (t * (v + u) + remaining * (u + end)), end};
 }
 
 }  // namespace plate::reversing

@@ -50,15 +50,15 @@ template <int COUNT>
     return sum;
 }
 
-// Result of a trial step. If the slip reversed, `turned` is the time of the stage that detected the
-// reversal, as a fraction of the step. Otherwise `turned` is 0. The other fields are the state and
-// the friction [m/s2] at the end of the step, and the estimated errors of position [m] and velocity
-// [m/s].
+// Result of a trial step. If the slip reversed, `reversal` is the time of the stage that detected
+// the reversal, as a fraction of the step. Otherwise `reversal` is 0. The other fields are the
+// state and the friction [m/s2] at the end of the step, and the estimated errors of position [m]
+// and velocity [m/s].
 struct Step {
-    double turned;
+    double reversal;
     Point end;
     Vec force;
-    double place_error, velocity_error;
+    double position_error, velocity_error;
 };
 
 // A stage of a Runge-Kutta step: velocity of the part, friction, and whether the component of the
@@ -66,14 +66,14 @@ struct Step {
 // step.
 struct Stage {
     Vec velocity, force;
-    bool on;
+    bool same_direction;
 };
 
 [[gnu::always_inline]] inline Stage stage(Table table, double t, int& k, const Point& part,
                                           double limit, Vec n) {
     const Vec w = slip(table, t, k, part);
-    const double r = std::sqrt(dot(w, w)), share = r > 0 ? limit / r : 0;
-    return {part.velocity, share * w, dot(w, n) > 0};
+    const double r = std::sqrt(dot(w, w)), scale = r > 0 ? limit / r : 0;
+    return {part.velocity, scale * w, dot(w, n) > 0};
 }
 
 // Compute stage S of a Runge-Kutta step and all later stages. `v` and `f` contain the part's
@@ -81,19 +81,20 @@ struct Stage {
 template <int S>
 [[gnu::always_inline]] inline Step stages(Table table, double t, int k, double h, const Point& part,
                                           double limit, Vec n, Vec* v, Vec* f) {
-    Point at;
+    Point state;
     if constexpr (S == 1)
-        at = {part.place + h * A[1][0] * v[0], part.velocity + h * A[1][0] * f[0]};
+        state = {part.position + h * A[1][0] * v[0], part.velocity + h * A[1][0] * f[0]};
     else
-        at = {part.place + h * weighted<S>(A[S], v), part.velocity + h * weighted<S>(A[S], f)};
-    const Stage made = stage(table, t + C[S] * h, k, at, limit, n);
-    if (!made.on) return {C[S], part, f[0], 0, 0};
-    v[S] = made.velocity, f[S] = made.force;
+        state = {part.position + h * weighted<S>(A[S], v),
+                 part.velocity + h * weighted<S>(A[S], f)};
+    const Stage result = stage(table, t + C[S] * h, k, state, limit, n);
+    if (!result.same_direction) return {C[S], part, f[0], 0, 0};
+    v[S] = result.velocity, f[S] = result.force;
     if constexpr (S + 1 < STAGES) {
         return stages<S + 1>(table, t, k, h, part, limit, n, v, f);
     } else {
         const Vec ep = weighted<STAGES>(E, v), ev = weighted<STAGES>(E, f);
-        return {0, at, f[S], h * (std::abs(ep.x) + std::abs(ep.y)),
+        return {0, state, f[S], h * (std::abs(ep.x) + std::abs(ep.y)),
                 h * (std::abs(ev.x) + std::abs(ev.y))};
     }
 }
@@ -107,22 +108,23 @@ inline Step runge_kutta(Table table, double t, int k, double h, const Point& par
 }
 
 // Returns the state after tau [s] with constant friction [m/s2].
-inline Point even(const Point& part, Vec force, double tau) {
-    return {part.place + tau * (part.velocity + 0.5 * tau * force), part.velocity + tau * force};
+inline Point with_constant_friction(const Point& part, Vec force, double tau) {
+    return {part.position + tau * (part.velocity + 0.5 * tau * force), part.velocity + tau * force};
 }
 
 // Returns the slip [m/s] after tau [s] with constant friction. The component x is along n, and the
 // component y is perpendicular to n.
-inline Vec straight(Table table, double t, int k, double tau, const Point& part, Vec force, Vec n) {
-    const Vec w = slip(table, t + tau, k, even(part, force, tau));
+inline Vec slip_components(Table table, double t, int k, double tau, const Point& part, Vec force,
+                           Vec n) {
+    const Vec w = slip(table, t + tau, k, with_constant_friction(part, force, tau));
     return {w.x * n.x + w.y * n.y, w.y * n.x - w.x * n.y};
 }
 
 // Try a step in which the slip vector stays on a line. Friction is constant in such a step, so the
 // step is exact.
 inline Step line_step(Table table, double t, int k, double h, const Point& part, Vec force) {
-    const Vec w = straight(table, t, k, h, part, force, force);
-    return {w.x > 0 ? 0. : 1., even(part, force, h), force, 0, 0};
+    const Vec w = slip_components(table, t, k, h, part, force, force);
+    return {w.x > 0 ? 0. : 1., with_constant_friction(part, force, h), force, 0, 0};
 }
 
 // Event at which the slip vanishes:
@@ -143,7 +145,7 @@ struct Landing {
 inline Landing landing(Table table, double t, int k, double h, const Point& part, Vec force,
                        double r, double limit, double none) {
     const Vec n{force.x / limit, force.y / limit};
-    const Vec last = straight(table, t, k, h, part, force, n);
+    const Vec last = slip_components(table, t, k, h, part, force, n);
     if (last.x > 0) return {0, 0, 0};
     double low = 0, high = h, s_low = r, s_high = last.x, rest = last.y, tau = h;
     int side = 0;
@@ -156,7 +158,7 @@ inline Landing landing(Table table, double t, int k, double h, const Point& part
             tau = 0.5 * (low + high);
             if (!(low < tau && tau < high)) break;
         }
-        const Vec w = straight(table, t, k, tau, part, force, n);
+        const Vec w = slip_components(table, t, k, tau, part, force, n);
         rest = w.y;
         if (w.x > 0) {
             low = tau, s_low = w.x;
@@ -169,20 +171,20 @@ inline Landing landing(Table table, double t, int k, double h, const Point& part
         }
         if (std::abs(w.x) <= none) break;
     }
-    const Vec half = straight(table, t, k, 0.5 * tau, part, force, n);
+    const Vec half = slip_components(table, t, k, 0.5 * tau, part, force, n);
     rest = std::abs(rest);
     // The magnitude of the slip decreases approximately linearly to 0 at t = tau. Under this
     // assumption, the rate of the slip's angle is proportional to 1/(tau - t). The integral of this
-    // rate is the logarithm in `share`.
-    double share = rest > 0 ? rest / r * (1 + std::log(std::max(1.0, r / rest))) : 0;
-    share += half.x > 0 ? std::abs(half.y) / half.x : 1;
-    return {tau, rest, limit * tau * share};
+    // rate is the logarithm in `angle`.
+    double angle = rest > 0 ? rest / r * (1 + std::log(std::max(1.0, r / rest))) : 0;
+    angle += half.x > 0 ? std::abs(half.y) / half.x : 1;
+    return {tau, rest, limit * tau * angle};
 }
 
 // Return the direction of the acceleration of the plate's point q [m, plate frame] as a unit
 // vector. The vector is 0 if the point does not accelerate.
-inline Vec heading(Table table, double t, int k, Vec q) {
-    const Vec accel = riding(table, t, k, q).accel;
+inline Vec accel_direction(Table table, double t, int k, Vec q) {
+    const Vec accel = stuck_part(table, t, k, q).accel;
     const double a = std::sqrt(dot(accel, accel));
     return a > 0 ? Vec{accel.x / a, accel.y / a} : Vec{0, 0};
 }
@@ -203,13 +205,14 @@ struct Restart {
 // a/|a|. `allowed` is the maximum error of the velocity [m/s].
 inline Restart restart(Table table, double t, int k, double h, const Point& part, double limit,
                        double allowed) {
-    const Vec q = in_plate(table, t, k, part.place), n0 = heading(table, t, k, q);
+    const Vec q = to_plate_frame(table, t, k, part.position), n0 = accel_direction(table, t, k, q);
     for (int i = 0; i < TRIES; i++) {
-        const Vec n1 = heading(table, t + 0.5 * h, k, q), n2 = heading(table, t + h, k, q);
+        const Vec n1 = accel_direction(table, t + 0.5 * h, k, q),
+                  n2 = accel_direction(table, t + h, k, q);
         // Integrate the friction acceleration by Simpson's rule to the velocity u, and by the
         // corresponding rule to the position p.
         const Vec u = part.velocity + limit * h / 6 * (n0 + 4 * n1 + n2);
-        const Vec p = part.place + h * (part.velocity + limit * h / 6 * (n0 + 2 * n1));
+        const Vec p = part.position + h * (part.velocity + limit * h / 6 * (n0 + 2 * n1));
         int piece = k;
         const Vec w = slip(table, t + h, piece, {p, u});
         const double r = std::sqrt(dot(w, w));

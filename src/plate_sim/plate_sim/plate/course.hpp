@@ -18,7 +18,7 @@ struct PlateSample {
 // Motion of the plate between two knots. `start` and `end` are times [s]. `pose` and `twist`
 // contain polynomial coefficients, one row per power of the time since `start`. Each row contains
 // the coefficients for x, y [m] and theta [rad], and a zero for padding.
-struct Leg {
+struct CoursePiece {
     double start, end, pose[6][4], twist[5][4];
 
     // Pose and twist at time t [s].
@@ -34,43 +34,43 @@ struct Leg {
 
 // A whole motion.
 struct Course {
-    std::vector<Leg> legs;
+    std::vector<CoursePiece> pieces;
     double reach[3] = {};  // upper bounds of |x|, |y| [m] and |theta| [rad] during the motion
 
     // Constructs the motion from K + 1 knot times [s] and coefficients (K, 6, 3).
-    Course(const double* times, const double* factors, int count) : legs(count) {
-        for (Leg& leg : legs) {
-            leg.start = times[0], leg.end = times[1], times++;
+    Course(const double* times, const double* factors, int count) : pieces(count) {
+        for (CoursePiece& piece : pieces) {
+            piece.start = times[0], piece.end = times[1], times++;
             for (int power = 0; power < 6; power++)
                 for (int axis = 0; axis < 4; axis++) {
-                    leg.pose[power][axis] = axis < 3 ? *factors++ : 0;
-                    if (power > 0) leg.twist[power - 1][axis] = power * leg.pose[power][axis];
+                    piece.pose[power][axis] = axis < 3 ? *factors++ : 0;
+                    if (power > 0) piece.twist[power - 1][axis] = power * piece.pose[power][axis];
                 }
             for (int axis = 0; axis < 3; axis++) {
                 double bound = 0;
                 for (int power = 5; power >= 0; power--)
-                    bound = bound * (leg.end - leg.start) + std::abs(leg.pose[power][axis]);
+                    bound = bound * (piece.end - piece.start) + std::abs(piece.pose[power][axis]);
                 reach[axis] = std::max(reach[axis], bound);
             }
         }
     }
 
-    double period() const { return legs.back().end; }
+    double period() const { return pieces.back().end; }
 
-    // Index of the leg that contains the time t [s]. For times outside the motion, it is the first
-    // or last leg. The search begins at the leg k.
-    int leg_at(double t, int k) const {
-        const int last = static_cast<int>(legs.size()) - 1;
-        while (k > 0 && t < legs[k].start) k--;
-        while (k < last && t >= legs[k].end) k++;
+    // Index of the piece that contains the time t [s]. For times outside the motion, it is the
+    // first or last piece. The search begins at the piece k.
+    int piece_at(double t, int k) const {
+        const int last = static_cast<int>(pieces.size()) - 1;
+        while (k > 0 && t < pieces[k].start) k--;
+        while (k < last && t >= pieces[k].end) k++;
         return k;
     }
 
-    // Pose and twist at time t [s]. For times outside the motion, the first or last leg is
-    // extrapolated. `k` is the index of a leg near t, and is set to the leg at t.
+    // Pose and twist at time t [s]. For times outside the motion, the first or last piece is
+    // extrapolated. `k` is the index of a piece near t, and is set to the piece at t.
     PlateSample at(double t, int& k) const {
-        k = leg_at(t, k);
-        return legs[k].at(t);
+        k = piece_at(t, k);
+        return pieces[k].at(t);
     }
 };
 
@@ -79,11 +79,11 @@ struct Course {
 PLATE_WIDE inline std::vector<PlateSample> samples(const Course& course, int steps) {
     std::vector<PlateSample> rows(steps + 1);
     const double period = course.period();
-    const Leg *leg = &course.legs.front(), *last = &course.legs.back();
+    const CoursePiece *piece = &course.pieces.front(), *last = &course.pieces.back();
     for (int k = 0; k <= steps; k++) {
         const double t = period * k / steps;
-        while (leg != last && t >= leg->end) leg++;
-        rows[k] = leg->at(t);
+        while (piece != last && t >= piece->end) piece++;
+        rows[k] = piece->at(t);
     }
     return rows;
 }

@@ -12,7 +12,7 @@ struct GroundEffect {
 
     // Return the dynamic friction at a slip speed [m/s], as a fraction of the friction at zero slip
     // (see `Ground.friction_slope`).
-    double share(double slip) const {
+    double friction_factor(double slip) const {
         return slope < 0 ? 1 / (1 - slope * slip) : 1 + slope * slip;
     }
 
@@ -21,7 +21,7 @@ struct GroundEffect {
     double weight(double accel) const { return std::max(0.0, 1 + heave * accel); }
 
     // Whether friction is independent of the slip and of the plate's motion.
-    bool even() const { return slope == 0 && heave == 0; }
+    bool is_constant() const { return slope == 0 && heave == 0; }
 };
 
 }  // namespace plate

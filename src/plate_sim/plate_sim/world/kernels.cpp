@@ -93,8 +93,9 @@ nb::ndarray<nb::numpy, double, nb::ndim<2>> run_plates(
         std::atomic<size_t> next{0};
         const auto work = [&] {
             for (size_t k; (k = next++) < plates;) {
-                const auto [i, j, depth, share] = run(jobs[k], shapes, rules, allowed, half.data());
-                const double row[] = {1.0 * i, 1.0 * j, depth, share};
+                const auto [i, j, depth, relative_depth] =
+                    run(jobs[k], shapes, rules, allowed, half.data());
+                const double row[] = {1.0 * i, 1.0 * j, depth, relative_depth};
                 std::copy_n(row, 4, &found[4 * k]);
             }
         };
