@@ -75,7 +75,7 @@ static void send_state(Controller *c)
     const Table *table = &c->tables[c->playing];
     bool moving = c->state == STATE_PLAYING || (c->state == STATE_BRAKING && !c->going_home);
     at = put_u16(at, moving ? table->id : 0);
-    at = put_u32(at, moving && !table->streams ? motion_into(c) : 0);
+    at = put_u32(at, moving && !table->streams ? motion_elapsed(c) : 0);
     at = put_u16(at, c->waiting ? c->tables[c->next].id : 0);
     at = put_u16(at, c->reader.refused);
     float hottest = c->heat[0];
@@ -132,7 +132,7 @@ static void measure(Controller *c)
 {
     bool deviates = false;
     hal_measure(c->measured, c->accelerations);
-    for (int m = 0; m < MOTORS && c->follows; m++) {
+    for (int m = 0; m < MOTORS && c->is_commanded; m++) {
         float error = fabsf(c->measured[m] - c->commanded.position[m]);
         c->following_m = fmaxf(c->following_m, error);
         deviates = deviates || !(error <= c->limits.following_m); /* also true if the error is not finite */
@@ -210,7 +210,7 @@ static void add_knots(Controller *c, int *work)
         bool plays = table == &c->tables[c->playing];
         uint16_t known = (uint16_t)(table->next - first);
         if (plays && table_rests(table) &&
-            c->time + BRAKE_TICKS / 2 - table_knot(table, 0)->ticks > table_period(table))
+            c->table_time + BRAKE_TICKS / 2 - table_knot(table, 0)->ticks > table_period(table))
             status = STATUS_WRONG_STATE; /* too late: the plate could no longer brake before the stream's end */
         else if (known >= 0x8000)
             status = STATUS_INCOMPLETE;
@@ -218,7 +218,7 @@ static void add_knots(Controller *c, int *work)
             break;
         else if (*work <= 0 ||
                  !stream_add(table, fields + 4 + known * KNOT_BYTES,
-                             plays ? c->time : table_knot(table, 0)->ticks, &c->limits, work,
+                             plays ? c->table_time : table_knot(table, 0)->ticks, &c->limits, work,
                              &status))
             return;
     }
@@ -279,7 +279,7 @@ static uint8_t commit(Controller *c, uint16_t sequence, const uint8_t *fields)
         wait_to_play(c);
         return STATUS_DONE;
     }
-    if (table->have < table->count)
+    if (table->arrived_count < table->count)
         return STATUS_INCOMPLETE;
     bool closes = !table->splice && knot_is_home(table_knot(table, 0));
     uint64_t held = (uint64_t)repeats * table_period(table);
@@ -312,7 +312,7 @@ static void check_tables(Controller *c, int work)
     } else if (table_checked(table)) {
         uint8_t status = table->check.status;
         if (status == STATUS_DONE && !knot_is_home(table_knot(table, 0)) &&
-            !motion_joins(c, table))
+            !motion_can_splice(c, table))
             status = STATUS_JUMP;
         table->repeats = c->commit_repeats;
         if (status == STATUS_DONE)
@@ -351,7 +351,7 @@ static void set_trigger(Controller *c, uint16_t sequence, const uint8_t *fields)
 }
 
 /* Execute a command in the order of the sequence numbers, and only once. */
-static void ordered(Controller *c, uint8_t type, uint16_t sequence, const uint8_t *fields)
+static void execute_ordered(Controller *c, uint8_t type, uint16_t sequence, const uint8_t *fields)
 {
     uint16_t ahead = (uint16_t)(sequence - c->answered);
     bool later = false;
@@ -370,7 +370,7 @@ static void ordered(Controller *c, uint8_t type, uint16_t sequence, const uint8_
 }
 
 /* A Stop is always executed. A repetition of the last Stop counts as a stop only if something moves. */
-static void obey_stop(Controller *c, uint16_t sequence, bool now)
+static void execute_stop(Controller *c, uint16_t sequence, bool now)
 {
     uint16_t ahead = (uint16_t)(sequence - c->answered);
     bool again = c->stop_known && c->stop_sequence == sequence && c->stop_now == now;
@@ -388,7 +388,7 @@ static void obey_stop(Controller *c, uint16_t sequence, bool now)
 }
 
 /* Whether a packet has the length of its type, and only allowed values. */
-static bool sound(uint8_t type, const uint8_t *fields, size_t size)
+static bool packet_valid(uint8_t type, const uint8_t *fields, size_t size)
 {
     switch (type) {
     case HELLO: return size == 5;
@@ -410,10 +410,10 @@ static bool sound(uint8_t type, const uint8_t *fields, size_t size)
     return true;
 }
 
-static void obey(Controller *c, size_t size, int *work)
+static void execute_packet(Controller *c, size_t size, int *work)
 {
     const uint8_t *packet = c->reader.held, *fields = packet + HEADER_BYTES;
-    if (size < HEADER_BYTES || !sound(packet[0], fields, size - HEADER_BYTES))
+    if (size < HEADER_BYTES || !packet_valid(packet[0], fields, size - HEADER_BYTES))
         return;
     uint8_t type = packet[0];
     uint16_t sequence = get_u16(packet + 1);
@@ -421,7 +421,7 @@ static void obey(Controller *c, size_t size, int *work)
     if (type == HELLO)
         hello(c, sequence, fields);
     else if (type == STOP)
-        obey_stop(c, sequence, fields[0] == 1);
+        execute_stop(c, sequence, fields[0] == 1);
     else if (!c->session_open)
         acknowledge(c, sequence, STATUS_NO_SESSION);
     else if (type == HEARTBEAT)
@@ -431,11 +431,11 @@ static void obey(Controller *c, size_t size, int *work)
     else if (type == KNOTS)
         fill(c, sequence, fields, size - HEADER_BYTES, work);
     else
-        ordered(c, type, sequence, fields);
+        execute_ordered(c, type, sequence, fields);
 }
 
 /* Read and execute received packets, up to the limits of a tick. */
-static void listen(Controller *c, int *work)
+static void read_packets(Controller *c, int *work)
 {
     size_t bytes = TICK_BYTES;
     int packets = TICK_PACKETS;
@@ -452,7 +452,7 @@ static void listen(Controller *c, int *work)
         bytes--;
         if (size) {
             packets--;
-            obey(c, size, work);
+            execute_packet(c, size, work);
         }
     }
 }
@@ -472,7 +472,7 @@ void controller_start(Controller *c, Limits limits)
 /* Whether a setpoint is allowed, `dt` [s] after the last one. A brake of duration Tb from the speed v
    increases the acceleration by at most a tenth. Where one table follows another, the state of both may
    deviate from rest at home by REST_M and REST_SPEED. */
-static bool sane(const Controller *c, const Setpoint *at, float dt)
+static bool setpoint_allowed(const Controller *c, const Setpoint *at, float dt)
 {
     const Limits *limits = &c->limits;
     float speed = limits->speed * (1 + LIMIT_SLACK), accel = limits->accel * (1 + BRAKE_ROOM);
@@ -491,17 +491,17 @@ static bool sane(const Controller *c, const Setpoint *at, float dt)
    increment per tick is small compared with the sum, so the sum is compensated (Kahan 1965). */
 static bool heat_step(Controller *c, uint32_t dt_us, const Setpoint *at)
 {
-    float share = fminf((float)dt_us * 1e-6f / c->limits.heat_s, 1);
-    bool bears = true;
+    float factor = fminf((float)dt_us * 1e-6f / c->limits.heat_s, 1);
+    bool within_limit = true;
     for (int m = 0; m < MOTORS; m++) {
         float force = at ? force_of(&c->limits, m, at->acceleration) : 0;
-        float more = share * (force * force - c->heat[m]) + c->heat_rest[m];
-        float sum = c->heat[m] + more;
-        c->heat_rest[m] = more - (sum - c->heat[m]);
+        float increment = factor * (force * force - c->heat[m]) + c->heat_rest[m];
+        float sum = c->heat[m] + increment;
+        c->heat_rest[m] = increment - (sum - c->heat[m]);
         c->heat[m] = sum;
-        bears = bears && sum <= continuous_square(c);
+        within_limit = within_limit && sum <= continuous_square(c);
     }
-    return bears;
+    return within_limit;
 }
 
 void controller_tick(Controller *c)
@@ -513,14 +513,14 @@ void controller_tick(Controller *c)
     uint32_t dt_us = passed < MAX_TICK_US ? (uint32_t)passed : MAX_TICK_US;
     measure(c);
     watch_board(c);
-    listen(c, &work);
+    read_packets(c, &work);
     check_tables(c, work);
     if (c->state != STATE_OFF && c->now_us - c->received_us > WATCHDOG_US)
         motion_brake(c, FAULT_HOST_SILENT);
 
     Setpoint at;
     bool moves = motion_step(c, dt_us, &at);
-    if (moves && !sane(c, &at, (float)dt_us * 1e-6f)) {
+    if (moves && !setpoint_allowed(c, &at, (float)dt_us * 1e-6f)) {
         motion_off(c, FAULT_LIMIT);
         moves = false;
     }
@@ -528,11 +528,11 @@ void controller_tick(Controller *c)
         hal_command(at.position, at.velocity, at.acceleration);
         c->commanded = at;
     }
-    c->follows = moves;
+    c->is_commanded = moves;
     const Table *table = &c->tables[c->playing];
     bool plays = c->state == STATE_PLAYING && !table->streams;
-    uint32_t into = plays ? motion_into(c) : 0, part = plays ? table_part(table, &into) : 0;
-    hal_trigger(trigger_step(&c->trigger, c->now_us, into, part));
+    uint32_t elapsed = plays ? motion_elapsed(c) : 0, part = plays ? table_part(table, &elapsed) : 0;
+    hal_trigger(trigger_step(&c->trigger, c->now_us, elapsed, part));
     uint32_t heat_us = passed < MAX_HEAT_US ? (uint32_t)passed : MAX_HEAT_US;
     if (!heat_step(c, heat_us, moves ? &at : NULL) && c->state != STATE_OFF)
         motion_brake(c, FAULT_HEAT);

@@ -37,14 +37,14 @@ typedef struct {
     Table tables[3];
     int playing, next, filling; /* indices in tables: a permutation of 0, 1 and 2 */
     bool waiting;      /* whether the next table waits to be played */
-    uint32_t time;     /* time in the playing table [TICK_S] */
+    uint32_t table_time;          /* time in the playing table [TICK_S] */
     uint32_t played;   /* number of completed plays of the table */
-    uint32_t brake, brake_length; /* time since the start of the brake, and its duration [TICK_S] */
+    uint32_t brake_time, brake_length; /* time since the start of the brake, and its duration [TICK_S] */
     bool going_home;
     uint32_t home_us;  /* time since the motion home began [us] */
-    float from[MOTORS];           /* start of the motion home [m] */
+    float home_start[MOTORS];     /* start of the motion home [m] */
     Setpoint commanded;           /* last setpoint; at rest, the position at the enable */
-    bool follows;                 /* whether `commanded` was sent to the motors in the last tick */
+    bool is_commanded;            /* whether `commanded` was sent to the motors in the last tick */
     float measured[MOTORS], accelerations[MOTORS];
     uint8_t deviating_ticks;      /* consecutive ticks with an excessive following error */
     float following_m;            /* maximum following error since the last telemetry [m] */

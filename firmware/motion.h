@@ -19,12 +19,12 @@ void motion_brake(Controller *c, uint8_t faults);
 void motion_enable(Controller *c);
 
 /* Whether a table continues the playing table at its splice, which has not been reached yet. */
-bool motion_joins(const Controller *c, const Table *next);
+bool motion_can_splice(const Controller *c, const Table *next);
 
-/* Time within the playing table [TICK_S]. */
-uint32_t motion_into(const Controller *c);
+/* Time since the start of the playing table [TICK_S]. */
+uint32_t motion_elapsed(const Controller *c);
 
 /* Advance by `dt_us`, at most MAX_TICK_US. Return whether there is a setpoint to command. */
-bool motion_step(Controller *c, uint32_t dt_us, Setpoint *at);
+bool motion_step(Controller *c, uint32_t dt_us, Setpoint *out);
 
 #endif

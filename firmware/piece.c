@@ -12,10 +12,10 @@ float force_of(const Limits *limits, int motor, const float acceleration[MOTORS]
     return force;
 }
 
-void piece_at(const Knot *a, const Knot *b, uint32_t into, Setpoint *out)
+void piece_at(const Knot *a, const Knot *b, uint32_t elapsed, Setpoint *out)
 {
     float ticks = (float)(b->ticks - a->ticks), h = ticks * TICK_S;
-    float s = (float)into / ticks;
+    float s = (float)elapsed / ticks;
     for (int m = 0; m < MOTORS; m++) {
         /* Quintic in s = t/h. c3 to c5 follow from the error of a's Taylor polynomial at b. */
         float c1 = h * a->velocity[m], c2 = 0.5f * h * h * a->acceleration[m];

@@ -52,8 +52,8 @@ typedef struct {
     bool begun;
 } PieceCheck;
 
-/* Setpoint at the time `into` [TICK_S] of a piece. */
-void piece_at(const Knot *a, const Knot *b, uint32_t into, Setpoint *out);
+/* Setpoint at the time `elapsed` [TICK_S] of a piece. */
+void piece_at(const Knot *a, const Knot *b, uint32_t elapsed, Setpoint *out);
 
 /* Start or continue the check of the piece between two knots while there is `work`, which must be above
    0. Return whether the check is complete. *keeps is then whether the piece keeps the limits. Adds the

@@ -73,22 +73,22 @@ bool table_follows(const Table *table, const Table *before)
            !memcmp(first->acceleration, splice->acceleration, sizeof first->acceleration);
 }
 
-uint32_t table_part(const Table *table, uint32_t *into)
+uint32_t table_part(const Table *table, uint32_t *elapsed)
 {
-    if (*into < table->splice)
+    if (*elapsed < table->splice)
         return table->splice;
-    *into -= table->splice;
+    *elapsed -= table->splice;
     return table_period(table) - table->splice;
 }
 
 /* Number of the playing piece. */
-static int piece_number(const Table *table, uint32_t into)
+static int piece_number(const Table *table, uint32_t elapsed)
 {
     uint32_t begin = table_knot(table, 0)->ticks;
     int low = 0, high = table->count - 1;
     while (high - low > 1) {
         int middle = (low + high) / 2;
-        if (table_knot(table, middle)->ticks - begin <= into)
+        if (table_knot(table, middle)->ticks - begin <= elapsed)
             low = middle;
         else
             high = middle;
@@ -96,23 +96,23 @@ static int piece_number(const Table *table, uint32_t into)
     return low;
 }
 
-void table_at(const Table *table, uint32_t into, Setpoint *out)
+void table_at(const Table *table, uint32_t elapsed, Setpoint *out)
 {
-    if (into == table_period(table)) {
+    if (elapsed == table_period(table)) {
         *out = (Setpoint){0};
         for (int m = 0; m < MOTORS; m++) /* avoid negative zero */
             out->position[m] = table_knot(table, table->count - 1)->position[m] + 0.0f;
         return;
     }
-    int number = piece_number(table, into);
+    int number = piece_number(table, elapsed);
     const Knot *a = table_knot(table, number);
-    into -= a->ticks - table_knot(table, 0)->ticks;
-    piece_at(a, table_knot(table, number + 1), into, out);
+    elapsed -= a->ticks - table_knot(table, 0)->ticks;
+    piece_at(a, table_knot(table, number + 1), elapsed, out);
 }
 
 void table_open(Table *table, uint16_t id, uint16_t count, uint32_t crc, uint32_t splice)
 {
-    memset(table->there, 0, sizeof table->there);
+    memset(table->arrived, 0, sizeof table->arrived);
     memset(&table->check, 0, sizeof table->check);
     table->id = id;
     table->count = count;
@@ -120,21 +120,21 @@ void table_open(Table *table, uint16_t id, uint16_t count, uint32_t crc, uint32_
     table->splice = splice;
     table->splice_knot = 0;
     table->streams = count == 0;
-    table->first = table->next = table->have = 0;
+    table->first = table->next = table->arrived_count = 0;
 }
 
-static bool is_there(const Table *table, int number)
+static bool has_arrived(const Table *table, int number)
 {
-    return table->there[number / 8] & (1u << (number % 8));
+    return table->arrived[number / 8] & (1u << (number % 8));
 }
 
 void table_put(Table *table, int number, const uint8_t bytes[KNOT_BYTES])
 {
-    if (is_there(table, number))
+    if (has_arrived(table, number))
         return;
     knot_read(&table->knots[number], bytes);
-    table->there[number / 8] |= (uint8_t)(1u << (number % 8));
-    table->have++;
+    table->arrived[number / 8] |= (uint8_t)(1u << (number % 8));
+    table->arrived_count++;
 }
 
 /* Whether a knot is allowed to follow the one before. If there is a splice, the last knot must be at rest. */
@@ -153,14 +153,14 @@ static uint8_t check_order(const Table *table, int number)
 }
 
 /* Whether the checked part, of this duration [TICK_S], keeps the motors' heat limit. */
-static bool bear(const Check *check, const Limits *limits, uint32_t ticks)
+static bool heat_within_limit(const Check *check, const Limits *limits, uint32_t ticks)
 {
     float square = limits->continuous_force * limits->continuous_force;
-    float most = square * ((float)ticks * TICK_S);
-    bool bears = true;
+    float limit = square * ((float)ticks * TICK_S);
+    bool within_limit = true;
     for (int m = 0; m < MOTORS; m++)
-        bears = bears && check->heat[m] <= most;
-    return bears;
+        within_limit = within_limit && check->heat[m] <= limit;
+    return within_limit;
 }
 
 /* Checks that need the whole table. */
@@ -168,7 +168,8 @@ static uint8_t check_whole(const Table *table, const Limits *limits)
 {
     if (table->check.crc != table->crc)
         return STATUS_INCOMPLETE;
-    return bear(&table->check, limits, table_period(table)) ? STATUS_DONE : STATUS_LIMIT;
+    return heat_within_limit(&table->check, limits, table_period(table)) ? STATUS_DONE
+                                                                         : STATUS_LIMIT;
 }
 
 bool table_checked(const Table *table)
@@ -179,7 +180,7 @@ bool table_checked(const Table *table)
 void table_check(Table *table, const Limits *limits, int *work)
 {
     Check *check = &table->check;
-    while (*work > 0 && !table_checked(table) && is_there(table, check->knots)) {
+    while (*work > 0 && !table_checked(table) && has_arrived(table, check->knots)) {
         const Knot *knot = &table->knots[check->knots];
         bool keeps = true;
         if (!check->piece.begun) {
@@ -195,7 +196,7 @@ void table_check(Table *table, const Limits *limits, int *work)
         else if (!piece_check(&check->piece, knot - 1, knot, limits, work, check->heat, &keeps))
             return;
         if (knot->ticks == table->splice)
-            keeps = keeps && bear(check, limits, knot->ticks);
+            keeps = keeps && heat_within_limit(check, limits, knot->ticks);
         check->status = keeps ? STATUS_DONE : STATUS_LIMIT;
         check->knots++;
         if (keeps && check->knots == table->count)

@@ -32,12 +32,12 @@ typedef struct {
     bool streams;   /* stream: knots are added to a ring while it plays */
     uint16_t first; /* stream: index of the oldest knot in `knots` */
     uint16_t next;  /* stream: number of the next knot */
-    uint16_t have;  /* table: number of different knots that have arrived */
+    uint16_t arrived_count; /* table: number of different knots that have arrived */
     uint32_t crc;   /* CRC of the knots' bytes */
     uint32_t splice; /* time at which the next table takes over or the tail begins [TICK_S]; 0: no tail */
     uint16_t splice_knot; /* number of the knot at the splice, valid after its check */
     Knot knots[MAX_KNOTS];
-    uint8_t there[(MAX_KNOTS + 7) / 8];
+    uint8_t arrived[(MAX_KNOTS + 7) / 8]; /* table: one bit per knot that has arrived */
     Check check;
 } Table;
 
@@ -74,11 +74,11 @@ bool table_follows(const Table *table, const Table *before);
 /* Duration from the first to the last knot [TICK_S]. */
 uint32_t table_period(const Table *table);
 
-/* Duration of the part that plays at the time *into of a table: its cycle or its tail [TICK_S]. *into
-   becomes the time within that part. */
-uint32_t table_part(const Table *table, uint32_t *into);
+/* Duration of the part that plays at the time *elapsed of a table: its cycle or its tail [TICK_S].
+   *elapsed becomes the time within that part. */
+uint32_t table_part(const Table *table, uint32_t *elapsed);
 
-/* Setpoint at the time `into` [TICK_S] of the table; at its end, at rest. */
-void table_at(const Table *table, uint32_t into, Setpoint *out);
+/* Setpoint at the time `elapsed` [TICK_S] of the table; at its end, at rest. */
+void table_at(const Table *table, uint32_t elapsed, Setpoint *out);
 
 #endif

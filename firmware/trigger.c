@@ -3,7 +3,7 @@
 #define REST_US 100000u /* period of the pulses while no table plays [us] */
 #define US_PER_MS 1000u
 
-bool trigger_step(Trigger *t, uint64_t now_us, uint32_t into, uint32_t period)
+bool trigger_step(Trigger *t, uint64_t now_us, uint32_t elapsed, uint32_t period)
 {
     if (t->pulse_ms == 0)
         return false;
@@ -12,14 +12,15 @@ bool trigger_step(Trigger *t, uint64_t now_us, uint32_t into, uint32_t period)
         rises = now_us - t->rose_us >= REST_US;
         t->done = false;
     } else {
-        if (into < t->into) { /* the next cycle or tail: a pulse was due between the last tick and its end */
+        if (elapsed < t->elapsed) {
+            /* the next cycle or tail has begun: a pulse was due between the last tick and the end */
             rises = !t->done;
             t->done = false;
         }
-        if (!t->done && into >= (uint32_t)((uint64_t)period * t->phase >> 16))
+        if (!t->done && elapsed >= (uint32_t)((uint64_t)period * t->phase >> 16))
             rises = t->done = true;
     }
-    t->into = into;
+    t->elapsed = elapsed;
     if (rises)
         t->rose_us = now_us;
     return now_us - t->rose_us < t->pulse_ms * US_PER_MS;

@@ -83,7 +83,7 @@ public:
 
     nb::object play() const {
         if (!playing() || c.tables[c.playing].streams) return nb::none();
-        return nb::make_tuple(c.playing, c.played, motion_into(&c));
+        return nb::make_tuple(c.playing, c.played, motion_elapsed(&c));
     }
 
     nb::tuple table() const {
