@@ -77,7 +77,7 @@ SPOILT = [
     (("camera", "trigger_pulse_s"), 0.02, "trigger_phase is missing"),
     (("camera", "corners_px"), [[0, 0]] * 4, "allowed: four corners that span"),
     (("camera", "corners_px"), [[0, 0]] * 3, "corners_px is .*, allowed: 4 x 2 numbers"),
-    (("camera", "focal_px"), [0, 900], "focal_px is .*, allowed: 2 numbers from 1 to"),
+    (("camera", "focal_px"), [0, 900], "focal_px is .*, allowed: 2 numbers from 10 to"),
     (("camera", "distortion"), "k1", "distortion is 'k1', allowed: n numbers from -1e.06 to"),
     (("camera", "distortion"), [0.1] * 3, "lens: distortion has 3 values, allowed: 4 or 5 for plu"),
     (("camera", "distortion"), [-2, 0, 0, 0, 0], "lens: distortion is .* folds the image of the p"),

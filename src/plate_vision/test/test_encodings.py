@@ -51,6 +51,13 @@ def test_rows_may_be_padded(bgr):
     assert np.array_equal(seen, bgr[:, :, 0])
 
 
+@pytest.mark.parametrize("more", [1, 4095, 15 * 640])
+def test_the_rest_of_a_buffer_after_the_last_row_is_ignored(draw, rng, more):
+    frame = draw([], [], rng)
+    rest = bytes([9]) * more
+    assert np.array_equal(decode(frame.tobytes() + rest, (640, 480), "mono8", 640), frame)
+
+
 @pytest.mark.parametrize("bits", [10, 12, 16])
 @pytest.mark.parametrize(("order", "big"), [("<u2", False), (">u2", True)])
 def test_sixteen_bits(bgr, bits, order, big):
@@ -156,6 +163,7 @@ def test_brightness_and_colour_apart(encoding, grey, colour):
         ("step is 11 bytes, allowed: at least 12", {"step": 11}),
         ("data has 95 bytes, allowed: 96", {"data": bytes(95)}),
         ("data has 0 bytes, allowed: 96", {"data": b""}),
+        ("data has 4192 bytes, allowed: 96", {"data": bytes(96 + 4096)}),
         ("size is 0 x 8", {"size_px": (0, 8)}),
         ("size is 4000000000 x 4000000000", {"size_px": (4_000_000_000, 4_000_000_000)}),
         ("size is 11 x 8 px, allowed: even", {"size_px": (11, 8), "encoding": "bayer_rggb8"}),
@@ -218,6 +226,23 @@ def test_files_that_break_off_are_refused(rng, extension):
     for length in range(len(content) - 1):
         with pytest.raises(ImageError, match="allowed: "):
             decode_file(content[:length], extension[1:])
+
+
+@pytest.mark.parametrize("extension", [".png", ".jpg", ".webp"])
+@pytest.mark.parametrize("rest", [bytes(5000), bytes(range(255, -1, -1)) * 20])
+def test_the_rest_of_a_buffer_after_a_file_is_ignored(rng, extension, rest):
+    picture = rng.integers(0, 255, (HEIGHT, WIDTH), dtype=np.uint8)
+    content = cv2.imencode(extension, picture)[1].tobytes()
+    assert np.array_equal(decode_file(content + rest, "jpeg"), decode_file(content, "jpeg"))
+
+
+def test_a_preview_does_not_hide_that_a_file_breaks_off(rng):
+    content = cv2.imencode(".jpg", rng.integers(0, 255, (64, 64), dtype=np.uint8))[1].tobytes()
+    body = b"Exif\0\0II" + content
+    preview = b"\xff\xe1" + struct.pack(">H", len(body) + 2) + body
+    assert decode_file(content[:2] + preview + content[2:], "jpeg").shape == (64, 64)
+    with pytest.raises(ImageError, match="is incomplete"):
+        decode_file(content[:2] + preview + content[2:-20], "jpeg")
 
 
 def test_a_tiff_file_that_breaks_off_is_refused_or_has_all_pixels(rng):

@@ -28,8 +28,17 @@ def test_lens_of_camera_info():
     size = (640, 480)
     for none in (camera_info(), camera_info([0.0] * 5), camera_info(model="")):
         assert not np.any(lens_of(none, size).distortion)
-    for not_calibrated in (CameraInfo(width=640, height=480, d=[0.1] * 5), CameraInfo()):
+    placeholder = camera_info([0.0] * 5)  # of the node image_publisher
+    placeholder.k[0] = placeholder.k[4] = 1.0
+    for not_calibrated in (
+        CameraInfo(width=640, height=480, d=[0.1] * 5),
+        CameraInfo(),
+        placeholder,
+    ):
         assert lens_of(not_calibrated, size) is None
+    placeholder.k[0] = placeholder.k[4] = 1.2  # focal lengths in widths of the image
+    with pytest.raises(PlateError, match=r"focal lengths are 1\.2 and 1\.2 px, allowed: 10 px"):
+        lens_of(placeholder, size)
     lens = lens_of(camera_info([-0.2, 0.0, 0.0, 0.0, 0.0]), size)
     assert lens.matrix[0].tolist() == [600, 0, 320]
     assert lens.distortion[0] == -0.2

@@ -98,7 +98,7 @@ CAMERA = Section(
             "distortion is not removed.",
         ),
         Key(
-            "focal_px", Numbers((2,), 1, 1e6), "Focal lengths fx, fy: entries of the matrix K in "
+            "focal_px", Numbers((2,), 10, 1e6), "Focal lengths fx, fy: entries of the matrix K in "
             "`camera_info`.", None, "a lens without distortion",
         ),
         Key(

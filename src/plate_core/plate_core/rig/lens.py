@@ -26,8 +26,8 @@ MODELS = {
 BIGGEST = 1e6
 """Maximum absolute value in K [px] or D [-]."""
 
-MIN_FOCAL_PX = 1.0
-"""Minimum focal length [px]."""
+MIN_FOCAL_PX = 10.0
+"""Minimum focal length [px]. A smaller value is not in pixels, or a driver's placeholder."""
 
 STEEPEST_RAD = np.deg2rad(89.0)
 """Maximum angle between a ray and the optical axis [rad]. At 90 degrees, the image point in the

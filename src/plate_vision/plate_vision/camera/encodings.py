@@ -50,6 +50,10 @@ ENCODINGS = {
 }
 """Kind of pixels and bytes per value for each encoding of sensor_msgs/Image."""
 
+PADDING, PADDING_ROWS = 4096, 16
+"""Minimum number of bytes, and of rows, that are too many after the last row. Drivers of video
+devices publish the whole buffer, which ends at a multiple of 4096 bytes or of 16 rows."""
+
 MAX_PIXELS = 50_000_000
 """Maximum size of an unpacked image [pixels], which is 0.15 GB in colour. The limit is needed
 because a small file can declare a much larger image."""
@@ -127,13 +131,14 @@ def decode(
     row = width * channels * size
     if step < row:
         raise ImageError(f"image: step is {step} bytes, allowed: at least {row}")
-    if len(data) != step * height:
-        raise ImageError(f"image: data has {len(data)} bytes, allowed: {step * height}")
+    size_bytes = step * height
+    if not size_bytes <= len(data) < size_bytes + max(PADDING, PADDING_ROWS * step):
+        raise ImageError(f"image: data has {len(data)} bytes, allowed: {size_bytes}")
     if (kind in BAYER or kind.startswith("yuv")) and (width % 2 or height % 2):
         raise ImageError(
             f"image: size is {width} x {height} px, allowed: even numbers with encoding {encoding}"
         )
-    pixels = np.frombuffer(data, np.uint8).reshape(height, step)[:, :row]
+    pixels = np.frombuffer(data, np.uint8, size_bytes).reshape(height, step)[:, :row]
     if size == 2:
         wide = np.ascontiguousarray(pixels).view(">u2" if big_endian else "<u2")
         check_byte_order(wide, big_endian)

@@ -36,9 +36,8 @@ PNG = b"\x89PNG\r\n\x1a\n"
 PNM = re.compile(rb"P[1-6](?:\s+(?:#[^\n]*\n\s*)*)(\d+)(?:\s+(?:#[^\n]*\n\s*)*)(\d+)\s")
 """Header of a PNM file, which may contain comments. The groups are the width and the height."""
 
-TAIL = 64
-"""Number of bytes at the end of a JPEG or PNG file that must contain the end mark. The end mark is
-not always at the end, because some cameras append padding."""
+PNG_END, JPEG_END = b"IEND\xae\x42\x60\x82", b"\xff\xd9"
+"""End marks of complete files. Some drivers append the rest of a buffer."""
 
 OTHER_KINDS = (
     (0, b"GIF8", "GIF"),
@@ -83,7 +82,8 @@ class Header(NamedTuple):
     orientation : int
         EXIF orientation, 1 to 8.
     place : int
-        Position of the orientation in a TIFF file [bytes]. 0 if the file contains no orientation.
+        Position of the orientation in a TIFF file, or of the frame header in a JPEG file [bytes]. 0
+        if a TIFF file contains no orientation.
     """
 
     kind: str
@@ -129,9 +129,10 @@ def name_of_format(content: bytes) -> str:
 def is_whole(content: bytes, header: Header) -> bool:
     """Return whether a JPEG, PNG or WebP file is complete. OpenCV fills the missing part of a
     truncated JPEG file with grey. For other formats, OpenCV refuses truncated files."""
-    if header.kind in ("JPEG", "PNG"):
-        tail = content[-TAIL:]
-        return b"\xff\xd9" in tail or b"IEND\xae\x42\x60\x82" in tail
+    if header.kind == "PNG":
+        return PNG_END in content
+    if header.kind == "JPEG":  # pixels do not contain the mark, but a preview before them does
+        return content.find(JPEG_END, header.place) >= 0
     if header.kind == "WebP":
         return len(content) >= 8 + int.from_bytes(content[4:8], "little")
     return True
@@ -180,7 +181,7 @@ def _read_jpeg(content: bytes) -> Header | None:
         # This segment of the JPEG file is the frame header, which contains the image size.
         if 0xC0 <= mark <= 0xCF and mark not in (0xC4, 0xC8, 0xCC):
             height, width = struct.unpack_from(">HH", content, place + 5)
-            return Header("JPEG", width, height, orientation)
+            return Header("JPEG", width, height, orientation, place)
         (size,) = struct.unpack_from(">H", content, place + 2)
         if mark == 0xE1 and content[place + 4 : place + 10] == b"Exif\0\0":
             orientation = _read_exif_orientation(content[place + 10 : place + 2 + size])

@@ -10,8 +10,8 @@ from ..errors import check_size
 
 
 def lens_of(msg: CameraInfo, size_px: tuple[int, int]) -> Lens | None:
-    """Return the lens of a camera_info message. Return None if the camera is not calibrated (K[0]
-    is 0).
+    """Return the lens of a camera_info message. Return None if the camera is not calibrated: K[0]
+    is 0, or 1 from the node image_publisher.
 
     Raises
     ------
@@ -26,7 +26,7 @@ def lens_of(msg: CameraInfo, size_px: tuple[int, int]) -> Lens | None:
         (msg.binning_x, msg.binning_y),
     )
     # drivers of cameras that are not calibrated also publish the size 0 x 0
-    if msg.k[0] == 0:
+    if msg.k[0] in (0, 1):
         return None
     check_size("size is", region.size_px, size_px, why=region.reason)
     matrix = region.matrix(np.array(msg.k, dtype=float).reshape(3, 3))
