@@ -491,77 +491,165 @@ def run(
     represents the devices around the plate in a feed task. `scene` provides the parts. Default: the
     parts of the simulator.
     """
-    line = transport or Direct()
     scenario = setup.recipe
     rig = with_setup_camera(setup, rig or load_rig(scenario.rig))
-    scene = scene or SimulatedScene(setup, scenario, rig)
-    planner = Planner(rig, scenario, replace(setup.planner, image_age_s=setup.image_age_s))
-    state = planner.start(planner.initial())
-    own_planner = load_planner(setup.own_planner, rig) if setup.own_planner else None
-    controller = Controller(rig, setup.method, setup.seed, **setup.effort)
-    free = setup.disturbances.image_rate > 0
-    shots = scene.shots(line.now)
-    shot = next(shots) if free else None
-    held = -1  # repetitions of the running cycle; -1 until a newly computed cycle has started
-    began, start = -np.inf, scene.state  # start of the running cycle, and the parts at that time
-    image: np.ndarray | None = None
-    expected: Prediction | None = None
-    parts = Parts.make((), np.zeros((0, 2)))
+    loop = _Loop(
+        setup, rig, transport or Direct(), drag, cell, scene or SimulatedScene(setup, scenario, rig)
+    )
     while True:
-        world, now, at_work = scene.state, line.now, cpu_time()
-        if line.began > began:  # a new cycle has started
-            held, began, start = held + 1, line.began, world
-            state = planner.started(state, line.running, began, not free)
-        new, stamp = None, now
-        if cell is not None:
-            assert isinstance(scene, SimulatedScene)
-            cell.act(scene.simulation, now)
-            world = scene.state
-        if shot is None:
-            new = scene.capture()
-        elif shot.delivered <= now:
-            new, stamp = scene.capture(now - shot.middle), shot.stamp
-            shot = next(shots)
-        if new is not None:
-            image, at_work = new, cpu_time()
-            parts = scene.see(image, stamp, expected)
-            state = planner.see(state, parts, stamp)
-        due = new is not None if shot is None else state.due <= now
-        if due and image is not None:
-            if drag is not None and state.task.active:
-                planner, state, _ = planner.retarget(state, drag(now))
-            if cell is not None and state.memory is not None:
-                planner = planner.order(state, cell.order(state.memory.report, now))
-            state, request, progress = planner.answer(state)
-            expected = predicted(request, state)
-            # The result of a task is confirmed with an image that is taken at rest. For this image,
-            # the request of a user's planner is ignored.
-            if own_planner is not None and not state.task.held(
-                state.estimator.stamp, planner.limits
-            ):
-                request = _own_request(own_planner, setup.own_planner, parts, began)
-            solving = cpu_time()
-            answer = controller.answer(request, line.running)
-            solve_s = cpu_time() - solving
-            table, fitted = prepare(rig, answer.cycle, round(began * 1e9), before=(line.running,))
-            line.send(table)
-            state = planner.record_cycle(state, answer.cycle, now)
-            step_s = cpu_time() - at_work
-            error, turned = _true_errors(planner.scenario, rig, state, parts, start, began)
-            used = fitted.usage
-            yield Moment(
-                began, start, parts, request, answer, progress, image, solve_s, step_s,
-                used.overall, used.force / rig.limits.force,
-                float(np.sqrt(np.max(used.thermal_load))), fitted.factor < 1, error, turned,
-                max(held, 0),
-            )  # fmt: skip
-            held = -1
-            if progress.ended:
+        loop.record_cycle_start()
+        new_image = loop.process_image()
+        if loop.must_answer(new_image):
+            moment = loop.answer()
+            yield moment
+            if moment.progress.ended:
                 return
-        answer_at = state.due if image is not None else np.inf
-        until = np.inf if shot is None else min(shot.delivered, max(answer_at, now + MOMENT_S))
-        for motion in line.play(until):
-            scene.run(motion)
+        loop.advance()
+
+
+class _Loop:
+    """Stages of a run, and the state of the loop between two steps.
+
+    A step consists of four parts, in the order in which `run` calls them. `record_cycle_start`
+    informs the planner that a cycle has started. `process_image` takes an image and detects the
+    parts. `answer` computes and sends the next cycle. `advance` moves the plate and the parts.
+    """
+
+    def __init__(
+        self,
+        setup: Setup,
+        rig: Rig,
+        line: Transport,
+        drag: Callable[[float], Sequence[PartTarget]] | None,
+        cell: Cell | None,
+        scene: Scene,
+    ) -> None:
+        self._rig = rig
+        self._line = line
+        self._drag = drag
+        self._cell = cell
+        self._scene = scene
+        options = replace(setup.planner, image_age_s=setup.image_age_s)
+        self._planner = Planner(rig, setup.recipe, options)
+        self._state = self._planner.start(self._planner.initial())
+        self._own_path = setup.own_planner
+        self._own_planner = load_planner(setup.own_planner, rig) if setup.own_planner else None
+        self._controller = Controller(rig, setup.method, setup.seed, **setup.effort)
+        # next image of a free-running camera; None: images are taken at the starts of cycles
+        self._shots = scene.shots(line.now)
+        self._shot = next(self._shots) if setup.disturbances.image_rate > 0 else None
+        # repetitions of the running cycle; -1 until a newly computed cycle has started
+        self._held = -1
+        # start of the running cycle, and the parts at that time
+        self._began = -np.inf
+        self._start = scene.state
+        self._image: np.ndarray | None = None
+        self._expected: Prediction | None = None
+        self._parts = Parts.make((), np.zeros((0, 2)))
+        self._work_began = 0.0  # CPU time at the start of the work on the present image [s]
+
+    def record_cycle_start(self) -> None:
+        """Inform the planner if the plate has started a cycle."""
+        self._work_began = cpu_time()
+        if self._line.began > self._began:
+            self._held += 1
+            self._began = self._line.began
+            self._start = self._scene.state
+            triggered = self._shot is None
+            self._state = self._planner.started(
+                self._state, self._line.running, self._began, triggered
+            )
+
+    def process_image(self) -> bool:
+        """Let the devices act. If an image is available, detect its parts. Return whether an image
+        is available."""
+        now = self._line.now
+        if self._cell is not None:
+            assert isinstance(self._scene, SimulatedScene)
+            self._cell.act(self._scene.simulation, now)
+        image, stamp = None, now
+        if self._shot is None:
+            image = self._scene.capture()
+        elif self._shot.delivered <= now:
+            image, stamp = self._scene.capture(now - self._shot.middle), self._shot.stamp
+            self._shot = next(self._shots)
+        if image is None:
+            return False
+        self._image = image
+        self._work_began = cpu_time()
+        self._parts = self._scene.see(image, stamp, self._expected)
+        self._state = self._planner.see(self._state, self._parts, stamp)
+        return True
+
+    def must_answer(self, new_image: bool) -> bool:
+        """Return whether the next cycle must be computed now."""
+        due = new_image if self._shot is None else self._state.due <= self._line.now
+        return due and self._image is not None
+
+    def answer(self) -> Moment:
+        """Compute the next cycle, and send it."""
+        line, rig = self._line, self._rig
+        assert self._image is not None
+        request, progress = self._request()
+        solve_began = cpu_time()
+        answer = self._controller.answer(request, line.running)
+        solve_s = cpu_time() - solve_began
+        stamp_ns = round(self._began * 1e9)
+        table, fitted = prepare(rig, answer.cycle, stamp_ns, before=(line.running,))
+        line.send(table)
+        self._state = self._planner.record_cycle(self._state, answer.cycle, line.now)
+        step_s = cpu_time() - self._work_began
+        error, turned = _true_errors(
+            self._planner.scenario, rig, self._state, self._parts, self._start, self._began
+        )
+        used = fitted.usage
+        moment = Moment(
+            time=self._began,
+            world=self._start,
+            parts=self._parts,
+            request=request,
+            answer=answer,
+            progress=progress,
+            image=self._image,
+            solve_s=solve_s,
+            step_s=step_s,
+            limit_share=used.overall,
+            force_share=used.force / rig.limits.force,
+            heat_share=float(np.sqrt(np.max(used.thermal_load))),
+            scaled=fitted.factor < 1,
+            error_m=error,
+            turn_error=turned,
+            held=max(self._held, 0),
+        )
+        self._held = -1
+        return moment
+
+    def _request(self) -> tuple[CycleRequest, Progress]:
+        """Return the request for the next cycle, and the progress of the task."""
+        now = self._line.now
+        if self._drag is not None and self._state.task.active:
+            self._planner, self._state, _ = self._planner.retarget(self._state, self._drag(now))
+        if self._cell is not None and self._state.memory is not None:
+            order = self._cell.order(self._state.memory.report, now)
+            self._planner = self._planner.order(self._state, order)
+        self._state, request, progress = self._planner.answer(self._state)
+        self._expected = predicted(request, self._state)
+        # The result of a task is confirmed with an image that is taken at rest. For this image, the
+        # request of a user's planner is ignored.
+        is_confirmed = self._state.task.held(self._state.estimator.stamp, self._planner.limits)
+        if self._own_planner is not None and not is_confirmed:
+            request = _own_request(self._own_planner, self._own_path, self._parts, self._began)
+        return request, progress
+
+    def advance(self) -> None:
+        """Move the plate and the parts until the next image, the next cycle, or the time at which
+        the next cycle must be computed."""
+        until = np.inf
+        if self._shot is not None:
+            answer_at = self._state.due if self._image is not None else np.inf
+            until = min(self._shot.delivered, max(answer_at, self._line.now + MOMENT_S))
+        for motion in self._line.play(until):
+            self._scene.run(motion)
 
 
 def _own_request(planner: ControlLaw, path: str, parts: Parts, t: float) -> CycleRequest:
