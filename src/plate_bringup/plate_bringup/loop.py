@@ -78,6 +78,7 @@ __all__ = [
     "Moment",
     "Scene",
     "Setup",
+    "SimulatedScene",
     "Transport",
     "is_fulfilled",
     "load_planner",

@@ -41,6 +41,7 @@ from plate_core.tasks import (
 from .estimation import MISSED_IMAGES, Coast, Estimator
 from .supervision import (
     STOP,
+    Agreement,
     Failure,
     Findings,
     LastSeen,
@@ -133,6 +134,8 @@ class PlannerState:
         reported.
     kept : bool
         Whether the last image was ignored, see `TaskRules.keeps_last`.
+    agreement : Agreement
+        Agreement of the parts' motion with its prediction since the start of the task.
     """
 
     task: TaskState
@@ -143,6 +146,7 @@ class PlannerState:
     answer: tuple[CycleRequest, Progress] | None = None
     due: float = np.inf
     kept: bool = False
+    agreement: Agreement = field(default_factory=Agreement)
 
 
 @dataclass(frozen=True)
@@ -202,7 +206,7 @@ class Planner:
     def start(self, state: PlannerState) -> PlannerState:
         """Return the state after the task was started or restarted. The time limit of the task
         applies from the image at which two images have shown all parts."""
-        return replace(state, task=started(), memory=None, last={})
+        return replace(state, task=started(), memory=None, last={}, agreement=Agreement())
 
     def stop(self, state: PlannerState, why: Failure = STOP) -> PlannerState:
         """Return the state after the task was stopped. From the next image on, the planner requests
@@ -313,7 +317,9 @@ class Planner:
         kept = state.task.active and self.rules.keeps_last(state.memory)
         parts = state.estimator.seen if kept else parts
         coast = TAKEN_COAST if self.rules.open_ended else MISSED_IMAGES
-        return replace(state, estimator=state.estimator.update(parts, t, coast), kept=kept)
+        agreement = state.agreement.seeing(parts, t)
+        estimator = state.estimator.update(parts, t, coast)
+        return replace(state, estimator=estimator, kept=kept, agreement=agreement)
 
     def plan(
         self, state: PlannerState, parts: Parts, t: float
@@ -431,9 +437,11 @@ class Planner:
             assessment.goal_met,
             assessment.to_go_m,
             assessment.problem,
-            lambda: shortfall_text(estimator.request, self.rig, parts, assessment.distance, count),
+            lambda: state.agreement.explained(
+                shortfall_text(estimator.request, self.rig, parts, assessment.distance, count)
+            ),
             "; ".join(filter(None, (assessment.outcome, self.others(parts)))),
-            lambda name: loss_of(name, state.last.get(name), began, self.rig, count, parts),
+            lambda name: self._loss_of(name, state, began, parts),
             not missing_parts(self.scenario, state.known, self._on_plate(estimator.seen)),
             estimator.at_rest,
             estimator.unanswered_problem,
@@ -443,6 +451,13 @@ class Planner:
         return replace(
             state, task=task, estimator=estimator, memory=memory, known=known
         ), assessment
+
+    def _loss_of(self, name: str, state: PlannerState, began: float, parts: Parts) -> Failure:
+        """Return the failure of a task in which a part is lost. `began` is the start of the task
+        [s], and `parts` are the parts in the image."""
+        count = self.scenario.count
+        reason, text = loss_of(name, state.last.get(name), began, self.rig, count, parts)
+        return Failure(reason, state.agreement.explained(text))
 
     def others(self, parts: Parts) -> str:
         """Return a text that lists unknown objects on the plate. The text is empty for tasks in
@@ -502,7 +517,12 @@ class Planner:
         mass = np.array([self.rig.part_type(part_class(name)).mass_kg for name in parts.ids], float)
         drift = parts.velocity + force * period / mass[:, None]
         start = estimator.start_of(parts)
-        state = replace(state, estimator=estimator.with_request(parts.ids, drift, force))
+        agreement = state.agreement
+        if start is not None:
+            place = start[:, :2]
+            agreement = agreement.expecting(estimator.seen, parts.ids, place, estimator.next_start)
+        estimator = estimator.with_request(parts.ids, drift, force)
+        state = replace(state, estimator=estimator, agreement=agreement)
         in_time = not estimator.log.free_running or self.options.answer_s < IN_MOTION_S
         plate = estimator.next_plate if in_time and len(parts) <= CROWD else None
         return state, CycleRequest.make(

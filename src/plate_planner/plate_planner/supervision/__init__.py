@@ -4,6 +4,7 @@ The functions `begin`, `evaluate` and `stopped` change the phase of a task. `Inp
 the planner's inputs. `InputMonitor` decides whether a task can continue with these inputs.
 """
 
+from .agreement import Agreement
 from .bystanders import Overlooked, bystanders_text, is_bystander, without_surplus
 from .failure import LastSeen, loss_of, outlook, shortfall_text, weak_plate_text
 from .inputs import Inputs
@@ -27,6 +28,7 @@ from .units import check_positions
 
 __all__ = [
     "STOP",
+    "Agreement",
     "Failure",
     "Findings",
     "InputMonitor",
