@@ -36,9 +36,9 @@ class Browser:
             self.calls.append(message)
         return message
 
-    async def until(self, true):
+    async def until(self, condition):
         end = time.monotonic() + TIMEOUT_S  # a wait_for in another may lose its timeout
-        while not true(self.newest):
+        while not condition(self.newest):
             await self.read(end - time.monotonic())
 
     async def ended(self):

@@ -87,9 +87,9 @@ class SteppedExecutor(NodeExecutor):
             self._spin_once(end)
         self.settle()
 
-    def until(self, true):
+    def until(self, condition):
         end = self.clock.monotonic() + MAX_S
-        while not true():
+        while not condition():
             assert self.clock.monotonic() < end, "it did not come"
             self.spin_once()
 

@@ -197,12 +197,12 @@ def test_a_bag_that_is_played_to_one_node_has_the_same_answers(bag, name, tmp_pa
         stack.callback(player.destroy_node)
         stack.callback(executor.shutdown)
 
-        def until(true, seconds=60.0):
+        def until(condition, seconds=60.0):
             end = time.monotonic() + seconds
-            while time.monotonic() < end and not true():
+            while time.monotonic() < end and not condition():
                 processes.check()
                 executor.spin_once(timeout_sec=0.02)
-            return true()
+            return condition()
 
         publishers = {t: player.create_publisher(KINDS[t], t, DATA) for t in inputs}
         for topic in outputs:

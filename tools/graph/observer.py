@@ -322,7 +322,7 @@ class Observer:
         """Client of the planner's actions."""
         return PlateClient(self.node, self.until)
 
-    def until(self, true: Callable[[], bool], timeout_s: float) -> bool:
+    def until(self, condition: Callable[[], bool], timeout_s: float) -> bool:
         """Receive messages until the condition is true. Return False if the condition is not true
         within `timeout_s` [s].
 
@@ -330,7 +330,7 @@ class Observer:
         while rclpy converts a message, rclpy would raise a RuntimeError instead.
         """
         end = time.monotonic() + timeout_s
-        while not true():
+        while not condition():
             now = time.monotonic()
             if now > end:
                 return False
@@ -568,9 +568,9 @@ class Observer:
         client = self.node.create_client(kind, service)
         began = time.monotonic()
 
-        def received(true: Callable[[], bool], timeout_s: float) -> bool:
+        def received(condition: Callable[[], bool], timeout_s: float) -> bool:
             end = time.monotonic() + timeout_s
-            while not self.until(true, min(REPORT_S, max(0.0, end - time.monotonic()))):
+            while not self.until(condition, min(REPORT_S, max(0.0, end - time.monotonic()))):
                 now = time.monotonic()
                 if now - began > SLOW_REPLY_S:
                     last = "" if self.record.driver is None else str(self.record.driver.text)

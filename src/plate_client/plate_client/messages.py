@@ -23,7 +23,7 @@ def defer_signals() -> None:
 
 
 def spin_until(
-    spin_once: Callable[[float], object], true: Callable[[], bool], timeout_s: float
+    spin_once: Callable[[float], object], condition: Callable[[], bool], timeout_s: float
 ) -> bool:
     """Process messages until a condition is true, or until a timeout [s]. Return whether the
     condition is true.
@@ -43,7 +43,7 @@ def spin_until(
         signal.signal(signal.SIGINT, _note)
     end, held = time.monotonic() + timeout_s, True
     try:
-        while not ((main and _noted) or true()):
+        while not ((main and _noted) or condition()):
             if time.monotonic() > end:
                 held = False
                 break

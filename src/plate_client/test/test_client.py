@@ -95,7 +95,7 @@ def _silent(monkeypatch):
     """A client without a planner, and a goal; all waits are over at once."""
     monkeypatch.setattr(client, "ANSWER_S", -1.0)
     with PlateClient.connect(f"/silent_{os.getpid()}") as plate:
-        plate._until = lambda true, timeout_s: true()
+        plate._until = lambda condition, timeout_s: condition()
         task = client.Task("sort_parts", lambda feedback, answer: plate.sent.append(answer))
         plate.sent = []
         monkeypatch.setattr(plate, "send", lambda goal, waiting: task.send() or task)
@@ -137,11 +137,11 @@ def test_a_goal_of_which_only_the_answer_was_lost_runs_on(silent):
         cancel_goal_async=lambda: pytest.fail("canceled"),
     )
 
-    def until(true, timeout_s):
+    def until(condition, timeout_s):
         task.progress = TaskProgress(parts_total=4)  # its feedback comes
         if len(plate.sent) > 1:
             plate.sent[1](SimpleNamespace(result=lambda: handle))
-        return true()
+        return condition()
 
     plate._until = until
     assert plate.start(SortParts.Goal()) is task
@@ -153,9 +153,9 @@ def test_a_goal_of_which_only_the_answer_was_lost_runs_on(silent):
 def test_a_goal_that_is_refused_at_once_has_ended(silent):
     plate, _ = silent
 
-    def until(true, timeout_s):
+    def until(condition, timeout_s):
         plate.sent[0](SimpleNamespace(result=lambda: SimpleNamespace(accepted=False)))
-        return true()
+        return condition()
 
     plate._until = until
     assert plate.start(SortParts.Goal()).status.text == "the planner refused the goal"
@@ -273,7 +273,7 @@ def test_a_client_of_a_users_node_and_its_task_report_that_the_client_is_closed(
     context = rclpy.Context()
     rclpy.init(context=context)
     node = rclpy.create_node("user", context=context, namespace=f"/user_{os.getpid()}")
-    plate = PlateClient(node, lambda true, timeout_s: true() or True)
+    plate = PlateClient(node, lambda condition, timeout_s: condition() or True)
     task = plate.send(SortParts.Goal())
     task._handle = SimpleNamespace(cancel_goal_async=lambda: pytest.fail("canceled"))
     for _ in range(2):
@@ -310,10 +310,10 @@ def test_run_cancels_a_task_that_it_no_longer_waits_for(silent, monkeypatch, why
     monkeypatch.setattr(plate, "start", lambda scenario: task)
     task.send()
 
-    def until(true, timeout_s):
+    def until(condition, timeout_s):
         if not canceled and timeout_s > 0 and why is KeyboardInterrupt:
             raise KeyboardInterrupt
-        return true()
+        return condition()
 
     plate._until = until
     with pytest.raises(why):

@@ -228,8 +228,8 @@ def test_what_is_refused(graph, words, message):
 def test_what_is_urgent_waits_for_a_node_that_is_not_seen_yet(view, monkeypatch, command):
     alone, seen = view("/nowhere"), []
 
-    def until(true, timeout_s):
-        seen.append(true())
+    def until(condition, timeout_s):
+        seen.append(condition())
         return seen[-1]
 
     monkeypatch.setattr(alone, "_until", until)

@@ -33,11 +33,11 @@ class Scripted(Graph):
             raise self.answer
         return self.answer
 
-    def _until(self, true, timeout_s):
+    def _until(self, condition, timeout_s):
         assert self.rounds < MAX_ROUNDS
         self.script(self)
         self.rounds += 1
-        return true()
+        return condition()
 
     def receive(self, topic, msg):
         self.callbacks[topic](msg)

@@ -24,11 +24,11 @@ def test_an_incompatible_partner_is_reported_within_a_second_and_messages_arrive
     node, executor = rclpy.create_node("node", context=context), NodeExecutor(context=context)
     executor.add_node(node)
 
-    def until(true, seconds):
+    def until(condition, seconds):
         end = time.monotonic() + seconds
-        while not true() and time.monotonic() < end:
+        while not condition() and time.monotonic() < end:
             executor.spin_once(timeout_sec=0.01)
-        return true()
+        return condition()
 
     try:
         executor.spin_once(timeout_sec=0)  # looks for events

@@ -91,10 +91,10 @@ class Peer:
         (status,) = msg.status
         self.reports.append((int.from_bytes(status.level), status.message, len(status.values)))
 
-    def until(self, true, longest_s=MAX_S):
+    def until(self, condition, longest_s=MAX_S):
         clock = self.executor.clock
         end = clock.monotonic() + longest_s
-        while not (done := true()) and clock.monotonic() < end:
+        while not (done := condition()) and clock.monotonic() < end:
             self.executor.spin_once()
         return bool(done)
 

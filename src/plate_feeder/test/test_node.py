@@ -129,11 +129,11 @@ class Graph:
         self.node.create_subscription(DiagnosticArray, "diagnostics", self.reports.append, DATA)
         self.until, self.spin = self.executor.until, self.executor.spin_for
 
-    def until_really(self, true, robot=None):
+    def until_really(self, condition, robot=None):
         """Wait for the server's thread; time goes on only while the feeder has a robot wait."""
         end = time.monotonic() + MAX_S
         self.executor.settle()
-        while not true():
+        while not condition():
             assert time.monotonic() < end, "it did not come"
             if self.waits(robot):
                 self.clock.step()

@@ -80,9 +80,9 @@ class Robot:
         self.socket.close()
 
 
-def until(true):
+def until(condition):
     end = time.monotonic() + LONG_S
-    while not true():
+    while not condition():
         assert time.monotonic() < end
         time.sleep(0.005)
 

@@ -261,9 +261,9 @@ esac
 """
 
 
-def until(true):
+def until(condition):
     end = time.monotonic() + 60
-    while not true():
+    while not condition():
         assert time.monotonic() < end
         time.sleep(0.01)
 

@@ -652,14 +652,14 @@ def test_the_plate_continues_from_its_reported_state(reported, order, lockstep, 
 def at_once(clock):
     """Function that waits until something is true, while the nodes' time stands."""
 
-    def wait(graph, true):
+    def wait(graph, condition):
         begun = clock.ns
         for _ in range(500):
             graph.executor.settle()
-            if true():
+            if condition():
                 break
             time.sleep(0.002)  # for threads of the middleware
-        assert true()
+        assert condition()
         assert clock.ns == begun
 
     return wait

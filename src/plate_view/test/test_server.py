@@ -162,9 +162,9 @@ def test_images_and_fields_go_only_to_browsers_that_watch_them(server):
             found += [kind for kind in kinds if json.loads(text).get("sent") == kind]
         return found
 
-    async def until(true):
+    async def until(condition):
         end = time.monotonic() + TIMEOUT_S
-        while not true():
+        while not condition():
             assert time.monotonic() < end, "it did not come"
             await asyncio.sleep(0.01)
 

@@ -85,7 +85,7 @@ Until = Callable[[Callable[[], bool], float], bool]
 returns whether the condition is true."""
 
 
-def _until_of_closed(true: Callable[[], bool], timeout_s: float) -> bool:
+def _until_of_closed(condition: Callable[[], bool], timeout_s: float) -> bool:
     """Raise the PlateError of a closed client. This function replaces `PlateClient._until`."""
     raise PlateError(CLOSED)
 
@@ -205,6 +205,85 @@ class Task:
         self.status = status
 
 
+class _BackgroundNode:
+    """Node whose messages a background thread processes, for `PlateClient.connect`.
+
+    Attributes
+    ----------
+    node : Node
+    """
+
+    def __init__(self, namespace: str) -> None:
+        self._context = rclpy.Context()
+        rclpy.init(args=[], context=self._context, signal_handler_options=SignalHandlerOptions.NO)
+        name = f"plate_client_{os.getpid()}_{next(_NUMBERS)}"
+        self.node = Node(name, namespace=namespace, context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        self._process = os.getpid()
+        self._closing = threading.Event()
+        self._ended = threading.Event()
+        # exceptions that ended the processing of messages
+        self._problems: list[Exception] = []
+
+    def start(self, close_client: Callable[[], None]) -> None:
+        """Start the thread. At its end, the thread calls `close_client`."""
+        self._close_client = close_client
+        threading.Thread(target=self._spin, daemon=True).start()
+
+    def until(self, condition: Callable[[], bool], timeout_s: float) -> bool:
+        """Wait until a condition is true or until a timeout [s]. Return whether it is true.
+
+        Raises
+        ------
+        PlateError
+            If the client is closed.
+        """
+        held = spin_until(
+            time.sleep,
+            lambda: bool(self._problems) or self._is_closed() or condition(),
+            timeout_s,
+        )
+        if self._problems:
+            raise self._problems[0]
+        if self._is_closed():
+            raise PlateError(CLOSED)
+        return held
+
+    def end(self) -> None:
+        """End the thread, which destroys the node."""
+        self._closing.set()
+        # Wait for an event, because `Thread.join` of some Pythons has an error: if Ctrl-C
+        # interrupts it, the next call returns although the thread is still running.
+        if os.getpid() == self._process:
+            self._ended.wait()
+        else:
+            _skip_destructors()
+
+    def _is_closed(self) -> bool:
+        # a forked process has no background thread
+        return self._closing.is_set() or os.getpid() != self._process
+
+    def _spin(self) -> None:
+        while not (self._closing.is_set() or self._problems):
+            try:
+                self._executor.spin_once(SPIN_S)
+            except ExternalShutdownException as problem:
+                self._problems.append(problem)  # `until` raises it in the thread of the caller
+            except Exception:  # a callback has failed; continue with the next one
+                self.node.get_logger().error(traceback.format_exc())
+                self._closing.wait(SPIN_S)  # limits the rate of the log
+        self._closing.wait()
+        # Ctrl-C interrupts only the main thread. Therefore this thread destroys the node.
+        try:
+            self._close_client()
+            self._executor.shutdown()
+            self.node.destroy_node()
+            rclpy.shutdown(context=self._context)
+        finally:
+            self._ended.set()
+
+
 class PlateClient:
     """Client of the planner's actions that uses an existing node.
 
@@ -251,64 +330,16 @@ class PlateClient:
         """
         namespace = node_namespace(namespace)
         choose_network(os.environ)
-        context = rclpy.Context()
-        rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
-        name = f"plate_client_{os.getpid()}_{next(_NUMBERS)}"
-        node = Node(name, namespace=namespace, context=context)
-        executor = SingleThreadedExecutor(context=context)
-        executor.add_node(node)
-        closing, ended, process = threading.Event(), threading.Event(), os.getpid()
-        problems: list[Exception] = []
-
-        def spin() -> None:
-            while not (closing.is_set() or problems):
-                try:
-                    executor.spin_once(SPIN_S)
-                except ExternalShutdownException as problem:
-                    problems.append(problem)  # `until` raises it in the thread of the caller
-                except Exception:  # a callback has failed; continue with the next one
-                    node.get_logger().error(traceback.format_exc())
-                    closing.wait(SPIN_S)  # limits the rate of the log
-            closing.wait()
-            # Ctrl-C interrupts only the main thread. Therefore this thread destroys the node.
-            try:
-                client.close()
-                executor.shutdown()
-                node.destroy_node()
-                rclpy.shutdown(context=context)
-            finally:
-                ended.set()
-
-        def closed() -> bool:
-            # a forked process has no background thread
-            return closing.is_set() or os.getpid() != process
-
-        def until(true: Callable[[], bool], timeout_s: float) -> bool:
-            held = spin_until(time.sleep, lambda: bool(problems) or closed() or true(), timeout_s)
-            if problems:
-                raise problems[0]
-            if closed():
-                raise PlateError(CLOSED)
-            return held
-
-        def end() -> None:
-            closing.set()
-            # Wait for an event, because `Thread.join` of some Pythons has an error: if Ctrl-C
-            # interrupts it, the next call returns although the thread is still running.
-            if os.getpid() == process:
-                ended.wait()
-            else:
-                _skip_destructors()
-
-        client, spinning = cls(node, until), threading.Thread(target=spin, daemon=True)
-        spinning.start()
+        background = _BackgroundNode(namespace)
+        client = cls(background.node, background.until)
+        background.start(client.close)
         # If the thread still waits for messages when the interpreter ends, the process aborts.
-        atexit.register(end)
+        atexit.register(background.end)
         try:
             yield client
         finally:
-            end()
-            atexit.unregister(end)
+            background.end()
+            atexit.unregister(background.end)
 
     def close(self) -> None:
         """Destroy the action clients, the publisher and the subscriptions. The client does not
@@ -507,7 +538,7 @@ class PlateClient:
                 if requested and task.accepted:
                     raise
 
-    def _spin_until(self, true: Callable[[], bool], timeout_s: float) -> bool:
+    def _spin_until(self, condition: Callable[[], bool], timeout_s: float) -> bool:
         return spin_until(
-            lambda wait_s: rclpy.spin_once(self.node, timeout_sec=wait_s), true, timeout_s
+            lambda wait_s: rclpy.spin_once(self.node, timeout_sec=wait_s), condition, timeout_s
         )

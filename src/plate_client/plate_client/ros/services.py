@@ -218,9 +218,9 @@ class Services:
             if name != NAME and where == own_namespace and not name.startswith("_")
         )
 
-    def _until(self, true: Callable[[], bool], timeout_s: float) -> bool:
+    def _until(self, condition: Callable[[], bool], timeout_s: float) -> bool:
         return spin_until(
-            lambda wait_s: rclpy.spin_once(self.node, timeout_sec=wait_s), true, timeout_s
+            lambda wait_s: rclpy.spin_once(self.node, timeout_sec=wait_s), condition, timeout_s
         )
 
 

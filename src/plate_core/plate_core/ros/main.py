@@ -91,54 +91,62 @@ def run_nodes(makes: Mapping[str, Callable[[], Node]], args: Sequence[str] | Non
         sys.exit(code)
 
 
+class _Signals:
+    """Handler of the signals that end the nodes.
+
+    Attributes
+    ----------
+    stopped : bool
+        Whether a signal has arrived.
+    interrupted : bool
+        Whether a signal has raised a KeyboardInterrupt.
+    spinning : bool
+        Whether the nodes are spinning. The loop then reads `stopped`, so a signal need not raise an
+        exception, unless a node is being configured.
+    """
+
+    def __init__(self, nodes: Sequence[Any]) -> None:
+        self._nodes = nodes
+        self.stopped = False
+        self.interrupted = False
+        self.spinning = False
+
+    def install(self) -> None:
+        """Replace inherited signal handlers. For example, a program that a script starts with &
+        would ignore SIGINT."""
+        for number in ENDING:
+            if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
+                signal.signal(number, self._on_signal)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
+
+    def ignore(self) -> None:
+        """Ignore all further signals."""
+        for number in ENDING:
+            signal.signal(number, signal.SIG_IGN)
+
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        # a second signal has no effect, so that it does not interrupt the clean-up
+        was_stopped, self.stopped = self.stopped, True
+        configuring = any(getattr(node, "configuring", False) for node in self._nodes)
+        if not (was_stopped or (self.spinning and not configuring)):
+            self.interrupted = True
+            raise KeyboardInterrupt
+
+
 def _run_nodes(
     makes: Mapping[str, Callable[[], Node]], nodes: list[Any], args: Sequence[str] | None
 ) -> int:
     """Run the nodes until they must stop. Return the exit code. The new nodes are appended to
     `nodes`, and the caller destroys the nodes."""
-    stopped, spinning, interrupted = False, False, False
     code = 0
-
-    def on_signal(number: int, frame: FrameType | None) -> None:
-        nonlocal stopped, interrupted
-        # a second signal has no effect, so that it does not interrupt the clean-up
-        was_stopped, stopped = stopped, True
-        waiting = spinning and not any(getattr(node, "configuring", False) for node in nodes)
-        if not (was_stopped or waiting):
-            interrupted = True
-            raise KeyboardInterrupt
-
-    # Replace inherited signal handlers. For example, a program that a script starts with & would
-    # ignore SIGINT.
-    for number in ENDING:
-        if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
-            signal.signal(number, on_signal)
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
+    signals = _Signals(nodes)
+    signals.install()
     # A program stores the process id of its parent in PARENT before it loads code. The parent may
     # end while the code is loaded.
     parent = getattr(sys.modules["__main__"], "PARENT", os.getppid())
     try:
         _init_ros(args)
-        # rclpy's EventsExecutor would need half the CPU time. However, under load, a lifecycle
-        # transition with this executor can end or crash a node.
-        executor = NodeExecutor()
-        for make in makes.values():
-            nodes.append(make())
-            executor.add_node(nodes[-1])
-        start_nodes(*(node for node in nodes if isinstance(node, SafeLifecycleNode)))
-        options = (getattr(node, "options", None) for node in nodes)
-        bound = all(getattr(node_options, "end_with_parent", True) for node_options in options)
-        spinning = True
-        while rclpy.ok() and not stopped and not (bound and os.getppid() != parent):
-            executor.spin_once(timeout_sec=POLL_S)
-        # Deactivation ends the running action goals. The calls of `spin_once` below send the
-        # results of these goals.
-        for node in nodes:
-            if isinstance(node, SafeLifecycleNode) and node.active and rclpy.ok():
-                node.before_end()
-                node.trigger_deactivate()
-        for _ in range(LAST_ROUNDS if rclpy.ok() else 0):
-            executor.spin_once(timeout_sec=0.01)
+        _spin_nodes(makes, nodes, signals, parent)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except (PlateError, InvalidParameterTypeException) as error:
@@ -151,16 +159,45 @@ def _run_nodes(
     except Exception:
         # If a KeyboardInterrupt is raised while rclpy converts a message, rclpy raises a
         # RuntimeError instead.
-        if not interrupted:
+        if not signals.interrupted:
             raise
     finally:
-        for number in ENDING:
-            signal.signal(number, signal.SIG_IGN)
+        signals.ignore()
         with contextlib.ExitStack() as stack:
             for node in nodes:
                 if isinstance(node, SafeLifecycleNode):
                     stack.callback(node.close)
     return code
+
+
+def _spin_nodes(
+    makes: Mapping[str, Callable[[], Node]], nodes: list[Any], signals: _Signals, parent: int
+) -> None:
+    """Create the nodes, start them, and spin them until they must stop. Then deactivate them.
+
+    `parent` is the id of the parent process. When this process has ended, the nodes end too, unless
+    their parameter `end_with_parent` is false.
+    """
+    # rclpy's EventsExecutor would need half the CPU time. However, under load, a lifecycle
+    # transition with this executor can end or crash a node.
+    executor = NodeExecutor()
+    for make in makes.values():
+        nodes.append(make())
+        executor.add_node(nodes[-1])
+    start_nodes(*(node for node in nodes if isinstance(node, SafeLifecycleNode)))
+    options = (getattr(node, "options", None) for node in nodes)
+    bound = all(getattr(node_options, "end_with_parent", True) for node_options in options)
+    signals.spinning = True
+    while rclpy.ok() and not signals.stopped and not (bound and os.getppid() != parent):
+        executor.spin_once(timeout_sec=POLL_S)
+    # Deactivation ends the running action goals. The calls of `spin_once` below send the results of
+    # these goals.
+    for node in nodes:
+        if isinstance(node, SafeLifecycleNode) and node.active and rclpy.ok():
+            node.before_end()
+            node.trigger_deactivate()
+    for _ in range(LAST_ROUNDS if rclpy.ok() else 0):
+        executor.spin_once(timeout_sec=0.01)
 
 
 def _init_ros(args: Sequence[str] | None) -> None:

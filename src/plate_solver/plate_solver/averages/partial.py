@@ -102,33 +102,16 @@ def largest_fraction(
     solution = attempt(request if fits == 1 else request.times(fits))
     if solution.success and fits == 1:
         return solution
-    low, best, high = (fits if solution.success else 0.0), solution, fits
-    iterations = solution.iterations
-    if not request.flags.moving and not request.flags.slack:
-        bound = reachable_fraction(library, request.position, request.force)
-        high = min(high, MAX_TRIED * limit * bound)
-    peak = float(np.max(np.abs(request.force)))
-    trial = fits * CAUTION * _along(fits * request.force, solution.residual)
-    for _ in range(BISECTIONS):
-        if (high - low) * peak < resolution:
-            break
-        fraction = trial if low < trial < high else (low + high) / 2
-        trial = 0.0
-        found = attempt(request.times(fraction))
-        iterations += found.iterations
-        if found.success:
-            low, best = fraction, found
-        else:
-            high = fraction
-    why = solution.message
+    low, best, iterations = _bisect(request, library, attempt, solution, fits, resolution, limit)
     proven = fits < 1 or (prove is not None and prove(request))
-    if proven:
-        why = f"proven impossible for such motions; {why}"
+    why = solution.message
     if fits < 1:
         why = (
             f"the requested force on a part is {request.flags.loaded:.3g} mu m g, "
             f"allowed: {limit:g}"
         )
+    elif proven:
+        why = f"proven impossible for such motions; {why}"
     rest_of_whole = solution.residual + (1 - fits) * request.force
     if low > 0:
         residual = best.residual + (1 - low) * request.force
@@ -155,6 +138,43 @@ def largest_fraction(
         status=(Status.UNREACHABLE if proven else Status.PARTIAL if low > 0 else Status.FAILED),
         fraction=low,
     )
+
+
+def _bisect(
+    request: Request,
+    library: Library,
+    attempt: Callable[[Request], Solution],
+    solution: Solution,
+    fits: float,
+    resolution: float,
+    limit: float,
+) -> tuple[float, Solution, int]:
+    """Search for the largest feasible fraction of a request by bisection.
+
+    `solution` is the solution for the fraction `fits` of the request. The other arguments are those
+    of `largest_fraction`. Return the largest fraction that was met (0 if none was met), its
+    solution, and the number of iterations of all solutions. If no fraction was met, the returned
+    solution is `solution`.
+    """
+    low = fits if solution.success else 0.0
+    high, best, iterations = fits, solution, solution.iterations
+    if not request.flags.moving and not request.flags.slack:
+        bound = reachable_fraction(library, request.position, request.force)
+        high = min(high, MAX_TRIED * limit * bound)
+    peak = float(np.max(np.abs(request.force)))
+    trial = fits * CAUTION * _along(fits * request.force, solution.residual)
+    for _ in range(BISECTIONS):
+        if (high - low) * peak < resolution:
+            break
+        fraction = trial if low < trial < high else (low + high) / 2
+        trial = 0.0
+        result = attempt(request.times(fraction))
+        iterations += result.iterations
+        if result.success:
+            low, best = fraction, result
+        else:
+            high = fraction
+    return low, best, iterations
 
 
 def reachable_fraction(library: Library, position: np.ndarray, force: np.ndarray) -> float:
