@@ -163,7 +163,7 @@ def test_stages_import_no_other_stage():
     assert not offenders, f"packages import only {SHARED}:\n" + "\n".join(offenders)
 
 
-def test_what_runs_does_without_the_averages():
+def test_the_running_loop_does_not_import_the_averages():
     """Only agents of the gym use them, and code outside `src`; no kernel includes one of theirs."""
     own = {AVERAGES, *(f"plate_solver.{name}" for name in public(AVERAGES) or ())}
     door = ROOT / "src/plate_solver/plate_solver/__init__.py"

@@ -54,7 +54,7 @@ def shaking() -> PlateCycle:
     return PlateCycle.from_knots(t, *states)
 
 
-def test_what_calibrate_has_learned_is_used_from_the_next_configure_on(monkeypatch, tmp_path):
+def test_the_next_configure_uses_the_result_of_calibrate(monkeypatch, tmp_path):
     learned, rig_file = tmp_path / "plate.npz", tmp_path / "rig.yaml"
     rig_file.write_text(default_rig_path().read_text(encoding="utf-8") + HUNG, encoding="utf-8")
     sessions = itertools.count(1, 1000)

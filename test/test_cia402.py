@@ -261,7 +261,7 @@ def test_a_silent_board_is_stopped_by_the_drives_themselves(bench):
 
 
 @pytest.mark.parametrize("at", ["switch on disabled", "ready", "switched on", "enabled"])
-def test_one_wrong_position_is_neither_target_nor_home(bench, at):
+def test_a_single_wrong_position_does_not_become_target_or_home(bench, at):
     boot(bench)
     bench.drives[0].wrong_once = at, 50_000
     places = [drive.position for drive in bench.drives]
@@ -661,7 +661,7 @@ UNDOING = {  # the first ones while nothing else is wrong
 }
 
 
-def test_nothing_undoes_a_stop(bench):
+def test_no_message_undoes_a_stop(bench):
     ready(bench)
     bench.old = bench.stop
     tell(bench, say(300, Stop(1)))

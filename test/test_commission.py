@@ -290,7 +290,7 @@ def test_drives_are_identified_measured_and_written(bench, rig_file, capsys):
     assert (min(targets) - PLACES[1], max(targets) - PLACES[1]) == (-500, 499)  # moved, and swung
 
 
-def test_who_does_not_type_yes_moves_nothing(bench, rig_file, capsys):
+def test_without_yes_no_motor_moves(bench, rig_file, capsys):
     before = rig_file.read_bytes()
     bench.answers = {"get current": "y"}
     assert bench.run(rig_file) == 0
@@ -301,7 +301,7 @@ def test_who_does_not_type_yes_moves_nothing(bench, rig_file, capsys):
     assert rig_file.read_bytes() == before
 
 
-def test_what_is_not_confirmed_is_not_written(bench, rig_file):
+def test_the_rig_file_is_written_only_after_a_confirmation(bench, rig_file):
     before = rig_file.read_bytes()
     bench.only(1)
     bench.answers["Write this"] = "no"
@@ -417,7 +417,7 @@ def test_ctrl_c_brakes_and_switches_off(bench, rig_file, capsys):
     assert rig_file.read_bytes() == before
 
 
-def test_who_is_gone_is_missed_by_the_drive(bench, rig_file, capsys):
+def test_a_drive_stops_by_itself_if_the_bus_is_cut(bench, rig_file, capsys):
     bench.only(1)
     bench.moving(lambda drive: setattr(bench, "cut", True))
     assert bench.run(rig_file) == 1

@@ -266,7 +266,7 @@ def test_an_interrupt_while_the_nodes_stop_keeps_the_results(tmp_path, monkeypat
     assert concluded == [None]
 
 
-def test_what_an_interrupted_task_did_counts_to_the_last_that_is_known():
+def test_an_interrupted_task_counts_until_the_last_report():
     """The planner reports every second the duration in whole milliseconds: 0.1173 s is 0.117."""
     starts = [10.0, 10.1173, 10.2346, 10.3519]
     parts = (Parts(header=Header(stamp=to_time(round(1e9 * t)))) for t in starts)

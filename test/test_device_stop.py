@@ -223,7 +223,7 @@ def drawn(rng: np.random.Generator, present: int) -> list[bytes | float | str]:
     return orders
 
 
-def test_nothing_but_an_enable_for_the_present_stop_switches_current_on(device):
+def test_only_an_enable_for_the_present_stop_switches_current_on(device):
     rng = np.random.default_rng(17)
     answers = []
     for _ in range(100):

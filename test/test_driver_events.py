@@ -204,7 +204,7 @@ def happen(driver, solver, counts):
 
 
 @pytest.mark.parametrize("streams", [False, True])
-def test_whatever_happens_the_plate_never_jumps_and_comes_to_rest(monkeypatch, streams):
+def test_the_plate_never_jumps_and_comes_to_rest_with_random_events(monkeypatch, streams):
     counts = dict.fromkeys(
         ("moving", "from rest", "refused", "stops", "stalls", "pushes", "losses", "late"), 0
     )

@@ -108,7 +108,7 @@ def test_table_is_played_and_taken_over_at_the_boundary(device):
 
 
 @pytest.mark.parametrize("whole", [True, False])
-def test_what_waits_is_replaced_by_a_newer_table_once_that_is_whole(device, whole):
+def test_a_waiting_table_is_replaced_when_a_newer_table_is_complete(device, whole):
     frames = uploaded(3, wave(0.001, phase=2.0), 310)
     last = b"".join(frames if whole else frames[:-1])
     orders = [*READY, upload(1, GENTLE, 110, 9), 0.13, upload(2, wave(0.002, phase=1.0), 210)]

@@ -97,7 +97,7 @@ def test_a_server_that_does_not_answer_is_ended(start, server, monkeypatch):
     assert server._process.wait(30) == -signal.SIGKILL
 
 
-def test_what_is_no_python_script_or_wants_other_code_is_not_forked(tmp_path):
+def test_only_python_scripts_with_the_same_libraries_are_forked(tmp_path):
     shell, python = tmp_path / "shell", tmp_path / "python"
     shell.write_text("#!/bin/sh\n")
     python.write_text("#!/usr/bin/env python3\n")

@@ -314,7 +314,7 @@ def test_a_task_does_not_begin_after_a_stop_by_somebody_else(tmp_path):
     assert record.tables == []
 
 
-def test_what_one_node_of_a_process_refuses_names_it(tmp_path, domain):
+def test_an_error_of_a_node_in_a_shared_process_names_the_node(tmp_path, domain):
     options = RunOptions(method="C", one_process=True)
     with Processes(GRAPH.values(), options, tmp_path, domain) as processes:
         assert processes.wait("one_process", 60) == 2

@@ -60,7 +60,7 @@ def test_a_new_cycle_every_200_ms_is_right_too(learned):
     assert left < 0.1
 
 
-def test_what_is_measured_later_corrects_it(learned):
+def test_later_measurements_correct_the_response(learned):
     """Cycles that are repeated, each a new one: a plate that has become 10 % softer is found."""
     frequency = np.arange(1, 30) / 0.2
     exact = learned[0]._interpolate(learned[0].matrix, frequency)

@@ -119,7 +119,7 @@ def check_bus(bench):
 # Enable, play
 
 
-def test_nothing_has_current_before_an_enable(bench):
+def test_no_drive_has_current_before_an_enable(bench):
     boot(bench)
     live(bench, 300)
     assert [drive.history for drive in bench.drives] == [[]] * 4
@@ -200,7 +200,7 @@ def test_a_silent_board_is_stopped_by_the_drives_themselves(bench):
     assert all(drive.state == 1 and drive.reason == 0x1000000 for drive in bench.drives)
 
 
-def test_one_wrong_position_is_neither_target_nor_home(bench):
+def test_a_single_wrong_position_does_not_become_target_or_home(bench):
     boot(bench)
     bench.drives[0].wrong_once = 1.25  # turns: 50 mm
     enable(bench, ms=1500)
@@ -442,7 +442,7 @@ UNDOING = {
 }
 
 
-def test_nothing_undoes_a_stop(bench):
+def test_no_message_undoes_a_stop(bench):
     ready(bench)
     bench.old = bench.stop
     tell(bench, say(300, Stop(1)))

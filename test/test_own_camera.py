@@ -134,7 +134,7 @@ def test_a_terminal_that_is_closed_enables_nothing(monkeypatch):
             await_consent(person)
 
 
-def test_nothing_starts_where_nobody_can_enable_the_motors(monkeypatch, capsys):
+def test_the_demo_does_not_start_if_nobody_can_enable_the_motors(monkeypatch, capsys):
     master, slave = pty.openpty()  # in place of a motor controller
     monkeypatch.setattr(sys, "argv", ["demo.py", "--port", os.ttyname(slave)])
     with open(os.devnull, encoding="utf-8") as nobody:
@@ -156,7 +156,7 @@ def test_nothing_starts_where_nobody_can_enable_the_motors(monkeypatch, capsys):
         (["--camera", "0", "--image-rate", "30"], "image rate is 30, but --camera requires"),
     ],
 )
-def test_what_does_not_go_with_a_camera_is_refused_before_the_start(
+def test_options_that_exclude_a_camera_are_refused_before_the_start(
     monkeypatch, capsys, words, said
 ):
     monkeypatch.setattr(sys, "argv", ["demo.py", *words])

@@ -228,7 +228,7 @@ def status(port, path, **headers):
         return caller.getresponse().status
 
 
-def test_who_is_not_let_in(url):
+def test_requests_of_other_origins_are_refused(url):
     port = int(url.rstrip("/").rsplit(":", 1)[1])
     assert status(port, "/") == 200
     assert status(port, "/", Host=f"evil.example:{port}") == 403

@@ -46,7 +46,7 @@ def test_a_refused_run_is_reported_and_ends_the_work():
             list(parallel(workers, refuse, [(0.0, i) for i in range(9)]))
 
 
-def test_what_is_left_is_not_started_when_nobody_wants_it():
+def test_remaining_work_is_not_started_after_the_results_are_closed():
     started = []
     with ThreadPoolExecutor(1) as workers:
         work = [(0.01, i) for i in range(50)]

@@ -80,7 +80,7 @@ def test_found_is_one_to_one_and_within_half_a_radius():
     assert score["centre_px"] == [0]
 
 
-def test_what_is_ignored_or_off_the_plate_does_not_count():
+def test_detections_in_ignored_areas_or_off_the_plate_do_not_count():
     corners = np.array([(0, 0), (100, 0), (100, 100), (0, 100)], float)
     truth = photograph([disc(50, 50, 10)], [(20, 20, 10)], corners)
     cases = {(22, 20, 11): 0, (22, 20, 1): 1, (150, 50, 10): 0, (80, 80, 10): 1}

@@ -77,7 +77,7 @@ def test_a_robot_that_is_refused_requests_again_later():
     assert robot.due == pytest.approx(1.7)
 
 
-def test_what_is_counted_begins_with_the_first_pick(monkeypatch):
+def test_counting_begins_with_the_first_pick(monkeypatch):
     rig = load_rig()
     simulation = Simulation(rig, load_scenario("feed"))
     tally, robot = Tally(), Robot.ready(2.0).after_reply(PLACE, 7.0)

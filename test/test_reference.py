@@ -170,7 +170,7 @@ def test_classes_are_those_that_detector_and_simulator_know():
 
 
 @pytest.mark.parametrize(("section", "key"), list(cases()))
-def test_what_is_out_of_range_is_refused_with_key_and_range(tmp_path, section, key):
+def test_a_value_out_of_range_is_refused_with_key_and_range(tmp_path, section, key):
     tried = 0
     for read, data in FILES:
         for place in places(data):

@@ -135,7 +135,7 @@ def test_charts_are_drawn_from_their_csv_files_where_nothing_is_measured(
     assert f" from {tmp_path / 'docs/results'}: {QUICK}\n" in output
 
 
-def test_what_is_not_committed_is_not_published(monkeypatch, capsys):
+def test_charts_of_uncommitted_code_are_not_published(monkeypatch, capsys):
     import charts
 
     monkeypatch.setattr(sys, "argv", ["charts.py"])

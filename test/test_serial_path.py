@@ -143,7 +143,7 @@ def test_bad_lines(firmware, damage, loss, delay, least):
     assert not firmware.current
 
 
-def test_nothing_is_sent_to_motors_that_are_off(firmware):
+def test_no_table_is_sent_to_motors_that_are_off(firmware):
     transport = link(firmware)
     pass_time(firmware, transport, 0.5)
     with pytest.raises(CycleError, match="the device is off, allowed: ready"):
@@ -231,7 +231,7 @@ def test_a_stop_latches_whatever_comes(firmware, way, cut):
 
 
 @pytest.mark.parametrize("way", [reset, cable, supply])
-def test_what_takes_the_current_away_does_not_bring_it_back(firmware, way):
+def test_after_a_loss_of_current_the_motors_stay_off(firmware, way):
     transport = enabled(firmware)
     play(firmware, transport, 1.0)
     assert firmware.states[-1] is State.PLAYING

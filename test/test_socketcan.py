@@ -179,7 +179,7 @@ def test_a_drives_own_messages_are_reported(bench):
     )
 
 
-def test_who_is_too_late_for_the_rig_brakes_and_is_not_enabled(bench):
+def test_late_setpoints_brake_the_plate_and_prevent_an_enable(bench):
     """3 mm at 1 m/s: 3 ms."""
     bench.ready()
     bench.transport.send(shaking(0.004), 20)
@@ -238,7 +238,7 @@ def context(rig, port="can0"):
     return TransportContext(rig, lambda _: None, lambda: 0.0, {"port": port})
 
 
-def test_what_cannot_be_led_is_refused():
+def test_rigs_that_socketcan_cannot_drive_are_refused():
     rig = load_rig("linear_motors")
     free = replace(rig, camera=replace(rig.camera, trigger=None))
     unwatched = replace(free, limits=replace(free.limits, following_error_m=0))
@@ -365,7 +365,7 @@ def strayed(late_s):
     return np.sqrt(np.mean(error**2)), np.max(np.abs(error))
 
 
-def test_what_is_late_is_off_by_the_way_made_meanwhile():
+def test_a_late_setpoint_causes_an_error_of_speed_times_delay():
     """By which the transport judges how late setpoints may be."""
     assert strayed(0.0) == (0.0, 0.0)
     for late_s in (1e-4, 1e-3, 5e-3):

@@ -75,7 +75,7 @@ def test_plate_goes_on_in_motion_and_rests_when_nothing_comes(firmware):
     assert moving[-1] - moving[0] == pytest.approx(tables * PERIOD + TAIL_S, abs=3 * TICK_S)
 
 
-def test_what_begins_elsewhere_is_refused_and_the_tail_is_played(firmware):
+def test_a_table_with_another_start_is_refused_and_the_tail_is_played(firmware):
     transport = enabled(firmware)
     transport.send(table(0), 1)
     pass_time(firmware, transport, 0.05)
@@ -121,7 +121,7 @@ def towards(state: np.ndarray, period: float) -> PlateCycle:
     return PlateCycle.from_knots(times, *rows)
 
 
-def test_of_two_tables_with_equal_ends_the_latest_is_continued(firmware):
+def test_a_third_table_continues_the_latest_of_two_tables_with_equal_ends(firmware):
     """The first one plays, the second one waits, and a third one begins where both end."""
     first, third = shaken(0), table(1)
     second = towards(first.state(-1), 0.12)

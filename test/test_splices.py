@@ -190,7 +190,7 @@ def nudged(table: Spliced, row: str) -> Spliced:
 
 
 @pytest.mark.parametrize("case", ["late", "position", "velocity", "acceleration", "rest", "closed"])
-def test_what_begins_in_motion_begins_at_a_splice_ahead_or_not_at_all(device, case):
+def test_a_table_in_motion_begins_at_a_future_splice_or_is_refused(device, case):
     tables = chain(4)
     wait = tables[0].splice_ticks * 1e-8 + 0.002 if case == "late" else 0.005
     if case in ("position", "velocity", "acceleration"):
@@ -238,7 +238,7 @@ def still(*ticks: int) -> tuple[Knot, ...]:
         (replace(chain(4)[1], repeats=2, splice_ticks=0), Status.REPEATS),
     ],
 )
-def test_where_a_splice_may_be(device, table, status):
+def test_allowed_positions_of_a_splice(device, table, status):
     data, [commit] = sent([table])
     done = run(device, *READY, data[0], 0.05)
     assert done.answers()[commit] is status
@@ -459,7 +459,7 @@ def checked(story: Story, done: Run) -> Counter:
     return seen
 
 
-def test_nothing_jumps_whatever_comes_and_when(program):
+def test_the_plate_never_jumps_with_random_orders(program):
     firmware, seen = running(program), Counter()
     for seed in range(10):
         story = Story(np.random.default_rng(seed))

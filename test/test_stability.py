@@ -44,7 +44,7 @@ def test_harmonics_serve_as_many_parts_as_they_have_numbers(rig, number):
     assert share[2] == 0
 
 
-def test_one_harmonic_serves_nobody(rig):
+def test_one_harmonic_moves_no_part(rig):
     assert harmonics.max_parts(1) == 0
     assert harmonics.solved_fraction(rig, 1, 1, 3, restarts=10) == 0
 

@@ -93,7 +93,7 @@ def test_cycles_are_streamed_and_the_newest_follows(trouble):
 
 
 @pytest.mark.parametrize("away", ["host", "line"])
-def test_what_is_away_for_a_while_costs_a_brake_and_a_person_enables(away):
+def test_an_interrupted_host_or_device_brakes_the_plate_until_a_person_enables(away):
     bench = Bench(LineFaults())
     bench.transport.send(swing(0.008), 50)
     bench.run(2.0)

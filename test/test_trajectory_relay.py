@@ -89,7 +89,7 @@ def check(rig: Controller) -> None:
     assert np.max(steps) <= RIG.limits.speed * TICK
 
 
-def test_nothing_moves_before_an_enable(rig):
+def test_the_relay_does_not_move_before_an_enable(rig):
     assert rig.relay.report().condition is Condition.GONE
     rig.run(0.1)
     report = rig.relay.report()

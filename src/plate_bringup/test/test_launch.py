@@ -304,7 +304,7 @@ def test_unmeasured_facts_are_those_of_the_rig_that_the_nodes_use(stand_in, tmp_
         ("closed_loop", "zoom", r"is 'zoom', allowed: scenario, .*rig_fi"),
     ],
 )
-def test_of_the_file_that_is_started_every_argument_is_ours(
+def test_an_unknown_argument_of_the_started_launch_file_is_refused(
     stand_in, monkeypatch, file, name, words, by_path
 ):
     path = (

@@ -219,13 +219,13 @@ def test_parameters(graph):
         (("gain", "1"), r"set requires NODE NAME VALUE.*talker"),
     ],
 )
-def test_what_is_refused(graph, words, message):
+def test_invalid_parameters_are_refused(graph, words, message):
     with pytest.raises(PlateError, match=message):
         asked(graph, "set", *words)
 
 
 @pytest.mark.parametrize("command", ["disable", "emergency_stop"])
-def test_what_is_urgent_waits_for_a_node_that_is_not_seen_yet(view, monkeypatch, command):
+def test_an_urgent_command_waits_for_the_discovery_of_a_node(view, monkeypatch, command):
     alone, seen = view("/nowhere"), []
 
     def until(condition, timeout_s):
@@ -302,7 +302,7 @@ def test_a_domain_is_recommended_only_where_it_can_be_no_other(monkeypatch, othe
         ("", ["goal", "/nowhere.yaml"], "plate: /nowhere.yaml: no such file\n", 2),
     ],
 )
-def test_what_is_wrong_on_the_command_line_is_refused_in_a_line(domain, words, message, code):
+def test_a_wrong_command_line_gives_a_message_of_one_line(domain, words, message, code):
     program = "from plate_client.command import main; main()"
     done = subprocess.run(
         [sys.executable, "-c", program, *words], env=os.environ | {"ROS_DOMAIN_ID": domain},

@@ -94,7 +94,7 @@ def test_it_ends_when_nobody_reads_its_lines(monkeypatch):
     assert graph.calls == [True, False]
 
 
-def test_one_that_is_refused_ends_no_other():
+def test_a_refused_measurement_does_not_end_a_running_one():
     graph, ended = ran(lambda graph: None, success=False)
     assert str(ended) == "a task runs"
     assert graph.calls == [True]

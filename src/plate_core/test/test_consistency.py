@@ -83,13 +83,13 @@ def _spoilt(tmp_path):
 
 
 @pytest.mark.parametrize(("keys", "value", "words"), IMPOSSIBLE)
-def test_what_cannot_be_is_refused(spoilt, keys, value, words):
+def test_an_impossible_rig_is_refused(spoilt, keys, value, words):
     with pytest.raises(RigError, match=rf"^my_rig\.yaml: .*({words})"):
         load_rig(spoilt(keys, value))
 
 
 @pytest.mark.parametrize(("keys", "value", "words"), WARNINGS)
-def test_what_is_hardly_meant_is_a_warning(spoilt, keys, value, words):
+def test_an_unlikely_value_causes_a_warning(spoilt, keys, value, words):
     (doubt,) = rig_warnings(load_rig(spoilt(keys, value)))
     assert not doubt.impossible
     with pytest.raises(AssertionError, match=words):

@@ -59,7 +59,7 @@ def test_a_console_that_nobody_reads_does_not_hold_up_a_node(tmp_path):
         assert node.wait(60) == 0  # its last words are not waited for either
 
 
-def test_what_is_logged_arrives_in_order_and_to_the_end(tmp_path):
+def test_all_log_lines_arrive_in_order_even_the_last(tmp_path):
     with talker(20, tmp_path / "said") as node:
         assert appears(tmp_path / "said")
         node.send_signal(signal.SIGINT)

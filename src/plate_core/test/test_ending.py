@@ -53,7 +53,7 @@ with ends({code}, within_s=0.05):
     assert subprocess.run([sys.executable, "-c", program], timeout=60).returncode == code
 
 
-def test_one_that_does_not_last_ends_nothing():
+def test_a_short_block_does_not_end_the_process():
     program = """
 import time
 from plate_core import ends
@@ -65,7 +65,7 @@ time.sleep(0.2)
     assert subprocess.run([sys.executable, "-c", program], timeout=60).returncode == 0
 
 
-def test_what_goes_wrong_inside_comes_out():
+def test_an_exception_inside_the_block_is_raised():
     with pytest.raises(ValueError, match="wrong"), ends(3):
         raise ValueError("wrong")
 

@@ -88,7 +88,7 @@ def test_regular_files_and_links_to_them_are_read(tmp_path):
         read_file(alias, MOST)
 
 
-def test_what_becomes_a_fifo_before_it_is_opened_keeps_nobody_waiting(tmp_path, monkeypatch):
+def test_a_file_that_becomes_a_fifo_before_it_is_opened_is_refused_at_once(tmp_path, monkeypatch):
     path, opened = tmp_path / "some", os.open
     path.write_bytes(b"")
 
@@ -212,7 +212,7 @@ def test_a_write_that_fails_leaves_the_file_and_keeps_no_lock(tmp_path):
 
 
 @pytest.mark.parametrize("kind", [fifo, "link"])
-def test_what_has_the_name_of_a_temporary_file_is_removed(tmp_path, kind):
+def test_a_link_or_fifo_with_the_name_of_a_temporary_file_is_removed(tmp_path, kind):
     """It is neither written nor waited for."""
     path, other = tmp_path / "rows.json", tmp_path / "other"
     other.write_text("kept")

@@ -93,7 +93,7 @@ def test_slopes_are_those_of_bending(lens, pixels):
         assert np.allclose(lens.slopes(pixels)[..., axis], slope, atol=1e-7)
 
 
-def test_what_a_lens_does_not_show():
+def test_points_beyond_the_image_of_a_lens_are_nan():
     """r (1 - 0.3 r2) grows to r = 1.054, where it is 0.703: nothing is seen beyond that."""
     lens = Lens((100.0, 100.0), (0.0, 0.0), (-0.3, 0.0, 0.0, 0.0, 0.0))
     straight = lens.straighten(np.array([[70.0, 0.0], [0.0, -70.0], [70.5, 0.0], [60.0, 60.0]]))
@@ -110,7 +110,7 @@ def test_an_equidistant_lens_sees_angles():
     assert np.isnan(lens.straighten([320.0 + 400 * np.pi / 2, 240.0])).all()  # 90 degrees
 
 
-def test_of_a_fold_the_side_of_the_axis_counts():
+def test_if_the_distortion_is_ambiguous_the_branch_near_the_axis_counts():
     """r (1 - r2 / 2 + r2^2 / 20) grows to 0.566 at r = 0.874, and again from 2.29 on: steps from
     the seen point may end on either side."""
     lens = Lens((300.0, 300.0), (320.0, 240.0), (-0.5, 0.05, 0.0, 0.0, 0.0))
@@ -159,7 +159,7 @@ def test_zeros_of_any_number_are_no_distortion(model):
         (np.diag([9, 9, 1.0]), [np.nan] * 4, "plumb_bob", "distortion is .*allowed: numbers from"),
     ],
 )
-def test_what_is_no_lens_is_refused(matrix, distortion, model, words):
+def test_an_invalid_lens_is_refused(matrix, distortion, model, words):
     with pytest.raises(RigError, match=words):
         lens_of_matrix(matrix, distortion, model)
 

@@ -182,7 +182,7 @@ def test_a_signal_within_a_transition_leaves_nothing(peer, capfd):
     assert "Traceback" not in capfd.readouterr().err
 
 
-def test_who_has_no_name_yet_is_no_second_node(peer, monkeypatch):
+def test_a_publisher_without_a_name_is_not_a_second_node(peer, monkeypatch):
     def publishers(*names):
         found = [SimpleNamespace(node_namespace="/lifecycle_test", node_name=n) for n in names]
         monkeypatch.setattr(peer.echo, "count_publishers", lambda topic: len(found))
@@ -209,7 +209,7 @@ def test_it_shuts_down_from_every_state_and_leaves_nothing(peer, before):
     assert peer.state() == "finalized"
 
 
-def test_what_does_not_fit_the_state_is_refused(peer):
+def test_a_transition_that_does_not_fit_the_state_is_refused(peer):
     for allowed, state in (
         ("configure", "unconfigured"), ("activate", "inactive"), ("deactivate", "active"),
         ("cleanup", "inactive"),
@@ -241,7 +241,7 @@ def test_a_failed_configure_cleans_up_reports_why_and_can_be_repeated(peer, refu
     assert peer.echoes("well")
 
 
-def test_what_configure_reads_changes_while_the_node_is_not_active(peer):
+def test_a_parameter_that_configure_reads_can_change_while_the_node_is_inactive(peer):
     assert peer.set("size", 4).successful
     assert peer.change("configure")
     assert peer.set("size", 5).successful

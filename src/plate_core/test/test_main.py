@@ -163,7 +163,7 @@ def test_a_node_ends_with_the_process_that_started_it(orphan, program, heard, la
     assert output.read().endswith(last)  # until no process has the pipe open
 
 
-def test_one_that_is_to_live_on_does(orphan):
+def test_a_node_without_end_with_parent_survives_its_parent(orphan):
     pid, output = orphan(LIFECYCLE, "tick", "--ros-args", "-p", "end_with_parent:=false")
     for _ in range(20):  # ten rounds of the executor and more
         assert output.readline() == "tick\n"
@@ -196,7 +196,7 @@ def test_a_broken_parameter_file_is_no_defect(tmp_path):
         (("-p", "use_sim_time:=maybe"), "expecting type 'BOOL': use_sim_time"),
     ],
 )
-def test_what_ros_reads_by_itself_is_checked_too(tmp_path, words, message):
+def test_files_that_ros_itself_reads_are_checked(tmp_path, words, message):
     fifo = tmp_path / "wrong.yaml"
     os.mkfifo(fifo)
     with start("--ros-args", *(word.format(fifo=fifo) for word in words)) as process:

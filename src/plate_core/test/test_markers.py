@@ -38,7 +38,7 @@ def test_scene_over_the_wire():
     assert arrow.points[1].y == pytest.approx(0.0)
 
 
-def test_nothing_to_draw():
+def test_without_parts_only_the_plate_is_drawn():
     rig, nothing = load_rig(), Parts.make((), np.empty((0, 2)))
     assert len(scene_to_msg(rig, nothing, {}, np.zeros(3), STAMP).markers) == 1
     assert forces_to_msg(rig, CycleRequest.make(nothing), STAMP).markers == []

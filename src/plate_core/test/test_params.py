@@ -140,7 +140,7 @@ def test_only_what_names_the_node_is_strict(make_node, capfd, tmp_path, monkeypa
             declare(node, Options)
 
 
-def test_what_is_not_live_cannot_change(make_node):
+def test_a_parameter_that_is_not_live_cannot_change(make_node):
     node = make_node("method:=exact")
     declare(node, Options)
     result = node.set_parameters([Parameter("method", value="fast")])[0]

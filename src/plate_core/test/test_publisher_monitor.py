@@ -21,7 +21,7 @@ def test_two_that_take_turns(ahead):
 
 
 @pytest.mark.parametrize("period", [0.1, 0.5])
-def test_one_that_is_much_slower(period):
+def test_detection_of_a_second_publisher_that_is_much_slower(period):
     assert two_detected([k if k % 3 else 900 + k // 3 for k in range(1, 12)], period) is (
         period == 0.1
     )
@@ -37,7 +37,7 @@ def test_one_that_is_much_slower(period):
         [None] * 20,  # the middleware has none
     ],
 )
-def test_one_alone(numbers):
+def test_a_single_publisher_is_not_reported(numbers):
     assert not two_detected(list(numbers))
 
 

@@ -88,7 +88,7 @@ def test_waiting_ends_with_a_message_after_the_time_and_without_ros():
     subscription.destroy()
 
 
-def test_nothing_comes_once_it_is_destroyed(node):
+def test_a_destroyed_subscription_receives_no_message(node):
     subscription = UnlockedSubscription(node, String, "words", DATA, 100)
     subscription.destroy()
     assert subscription.take() is None

@@ -270,7 +270,7 @@ def test_places_where_parts_are_lost_are_refused_and_others_near_an_edge_doubted
     assert near(20.0) == ()
 
 
-def test_of_parts_that_stay_their_starts_count(tmp_path, rig):
+def test_the_start_of_a_part_that_must_stay_is_checked_as_its_target(tmp_path, rig):
     """Their place is where they start."""
     start = "positions_m: [[0.288, 0], [0.1, 0.05]]"
     scenario = load_scenario(write(tmp_path, POSE.replace("count: 2", start)))

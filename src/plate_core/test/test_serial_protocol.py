@@ -271,7 +271,7 @@ def test_wrong_packets_are_refused(packet, message):
 @pytest.mark.parametrize(
     "packet", [Packet(65536, Enable(1)), Packet(0, Begin(-1, 0, 0)), Packet(0, Heartbeat(2**64))]
 )
-def test_what_does_not_fit_is_refused(packet):
+def test_a_packet_with_invalid_fields_cannot_be_packed(packet):
     with pytest.raises(FrameError):
         pack(packet)
 

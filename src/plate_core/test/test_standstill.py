@@ -3,7 +3,7 @@
 from plate_core.standstill import AFTER_S, Standstill
 
 
-def test_what_comes_right_after_a_standstill_is_late():
+def test_messages_right_after_a_standstill_are_late():
     standstill = Standstill(1.0, 100.0)
     assert not standstill.is_late(100.0)
     assert not any(standstill.is_late(100.0 + 0.9 * k) for k in range(1, 5))

@@ -146,7 +146,7 @@ def test_a_tail_that_ends_as_it_begins_is_not_repeated():
     assert tail.next(5, 0.03).cycle.period == 0.03
 
 
-def test_what_fits_nowhere_is_forgotten():
+def test_a_waiting_cycle_that_cannot_follow_is_discarded():
     tail = player(LEAVES, OTHER).next()
     assert tail.cycle is LEAVES.tail
     assert tail.waiting is None

@@ -118,7 +118,7 @@ def test_the_nearest_known_key_is_suggested():
         ("a: {kg: 0:02.5}\n", "kg is 0:02.5 at line 1, which YAML reads as 2.5, allowed"),
     ],
 )
-def test_what_yaml_takes_for_something_else_is_refused(tmp_path, text, message):
+def test_a_text_that_yaml_would_misread_is_refused(tmp_path, text, message):
     path = tmp_path / "some.yaml"
     path.write_text(text)
     with pytest.raises(FileError, match=rf"some\.yaml: {message}"):

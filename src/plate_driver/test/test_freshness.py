@@ -42,7 +42,7 @@ def test_age_is_by_the_stamp_and_both_ways():
             fresh.remaining_s(at(10), at(clock), PERIOD)
 
 
-def test_where_two_send_cycles_neither_moves_the_plate():
+def test_cycles_of_two_senders_are_refused():
     fresh = ready().with_cycle(b"a", 10.0)
     assert fresh.remaining_s(at(10), at(10.1), PERIOD) > 0
     both = fresh.with_cycle(b"b", 10.2)
@@ -58,7 +58,7 @@ def test_where_two_send_cycles_neither_moves_the_plate():
     assert alone.remaining_s(at(11), at(11.1), PERIOD) > 0
 
 
-def test_what_came_before_the_motors_were_ready_moves_nothing():
+def test_cycles_for_images_before_the_motors_were_ready_are_refused():
     fresh = ready(5.0)
     with pytest.raises(CycleError, match="that was taken before the motors became ready"):
         fresh.remaining_s(at(4.99), at(5.1), PERIOD)
@@ -70,7 +70,7 @@ def test_what_came_before_the_motors_were_ready_moves_nothing():
             again.remaining_s(at(5.03), at(5.1), PERIOD)
 
 
-def test_what_came_before_a_standstill_moves_nothing():
+def test_cycles_for_images_before_a_standstill_are_refused():
     fresh = ready(5.0).with_state(0, 5.0 + STALL_S, at(5.25))
     assert fresh.remaining_s(at(5.2), at(5.3), PERIOD) > 0
     stood = fresh.with_state(0, 5.6, at(5.6))
@@ -257,7 +257,7 @@ moved: list[float] = []
 """Ages of all tables that moved the plate, to see that the rule lets work through."""
 
 
-def test_nothing_old_moves_in_80_stalled_loops():
+def test_no_old_cycle_is_accepted_in_80_stalled_loops():
     moved.clear()
     wrong = list(itertools.chain(*(run(seed) for seed in range(80))))
     assert not wrong, wrong[:5]

@@ -156,7 +156,7 @@ def refused(match, mu=0.25, **world):
         measured(dict.fromkeys(world.get("places", PLACES), mu), **world)
 
 
-def test_what_cannot_be_measured_is_refused_with_the_reason():
+def test_a_friction_measurement_that_is_not_possible_is_refused_with_the_reason():
     refused("no part is detected, allowed: one or more", places={})
     refused("black_1 is 10 mm from an edge, allowed: 26 mm or more", places={"black_1": (0.29, 0)})
     near = {"black_1": (0.0, 0.0), "black_2": (0.018, 0.0)}

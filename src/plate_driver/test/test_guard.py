@@ -170,7 +170,7 @@ def test_the_checker_sees_what_breaks_a_limit():
     assert max(v for k, v in shares(table).items() if k != "load") > 0.99
 
 
-def test_what_is_refused_changes_nothing():
+def test_a_refused_cycle_does_not_change_the_guard():
     guard, _ = Guard(RIG).accepted(wild_cycle(1, 12, 1e-4, 0.2, 1), 10**9, 0.0)
     with pytest.raises(CycleError, match="is older than the last"):
         guard.accepted(wild_cycle(1, 12, 1e-4, 0.2, 1), 10**9 - 1, 0.1)

@@ -108,7 +108,7 @@ def test_absurd_cycles_are_scaled(size):
 
 
 @pytest.mark.parametrize("size", [1e120, 1e290])
-def test_what_cannot_be_computed_is_refused(size):
+def test_a_cycle_that_is_too_large_to_compute_is_refused(size):
     cycle = absurd_cycle(size)
     with pytest.raises(CycleError, match="too large to compute, allowed: 10 mm of stroke, 1 m/s, "):
         fit(RIG, cycle)
@@ -129,7 +129,7 @@ def test_setpoints_at_the_limits_pass():
         check_setpoints(RIG, times * h / 0.01 / 1.001, q, qd, qdd)
 
 
-def test_what_lies_between_knots_counts():
+def test_an_excess_between_two_knots_is_refused():
     times, q, qd, qdd = setpoints()
     q[1, 2], qd[1, 2] = 0.0099, 0.5
     with pytest.raises(CycleError, match=r"motor_3: travel is 0\.0103\d* m, allowed: 0\.01 m"):

@@ -137,7 +137,7 @@ def test_no_more_is_on_its_way_than_the_device_can_hold():
     assert link.retries == 0
 
 
-def test_what_is_sent_keeps_pace_with_the_line():
+def test_messages_are_sent_at_the_speed_of_the_line():
     """Never more on the line than some milliseconds, and a frame; all of it goes out in time."""
     baud = 115_200.0
     link, first = met(baud=baud).uploading(3, KNOTS, 5).due(0.0)
@@ -328,7 +328,7 @@ def test_home_is_a_command():
         (Packet(0, Acknowledgement(9, Status.DONE)), None),
     ],
 )
-def test_what_ends_a_link(packet, failed):
+def test_packets_that_end_a_link(packet, failed):
     assert met().received(packet, 0.01).failed == failed
 
 

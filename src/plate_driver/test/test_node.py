@@ -319,7 +319,7 @@ def test_without_a_task_rest_is_normal(driven, state):
     assert driven.report.level == DiagnosticStatus.WARN
 
 
-def test_what_came_while_the_driver_stood_still_moves_nothing(driven):
+def test_cycles_that_arrived_while_the_driver_was_stalled_are_refused(driven):
     driven.pass_time(0.1)
     driven.clock.now += STALL_S
     assert driven.send(GENTLE, driven.clock.time_ns() - 10 * MS) == driven.stamps()[-1]
@@ -350,7 +350,7 @@ def test_a_table_that_has_become_too_old_on_its_way_is_not_sent(driven):
         assert isinstance(driven.send(GENTLE), int)
 
 
-def test_what_is_too_old_or_of_a_task_that_has_ended_moves_nothing(driven):
+def test_an_old_cycle_or_a_cycle_of_an_ended_task_is_refused(driven):
     driven.pass_time(0.5)
     old = driven.clock.time_ns() - 700 * MS
     assert refused(driven, old).startswith("plate_cycle is for an image 0.70 s old")
@@ -374,7 +374,7 @@ def test_what_is_too_old_or_of_a_task_that_has_ended_moves_nothing(driven):
     assert isinstance(driven.send(GENTLE), int)
 
 
-def test_where_two_nodes_send_cycles_neither_moves_the_plate(driven):
+def test_cycles_of_two_nodes_are_refused(driven):
     """A second publisher is a second name, or without names a second recent sender."""
 
     def wait_for(second_publisher: str) -> None:

@@ -178,7 +178,7 @@ def test_each_stop_reaches_the_motors_and_the_gravest_reason_is_reported(desk):
         assert desk.node.latch.reason is reason
 
 
-def test_what_a_stop_opens_while_the_driver_ends_is_closed(desk):
+def test_a_stop_during_the_end_of_the_driver_leaves_no_transport_open(desk):
     safety = desk.node._safety
     close = safety.close
 

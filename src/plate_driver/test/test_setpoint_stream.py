@@ -86,7 +86,7 @@ def test_a_stream_ends_at_rest_when_its_cycles_have_been_sent():
     assert np.max(np.abs(way(t))) < 2e-4
 
 
-def test_what_is_at_rest_but_for_rounding_follows_what_is():
+def test_rest_up_to_rounding_can_follow_rest():
     tables = []
     for off in (9e-7, -9e-7):
         pose = np.full((9, 3), off)

@@ -139,7 +139,7 @@ def test_a_cycle_in_motion_is_never_scaled(rng):
     )
 
 
-def test_what_rounding_makes_of_a_limit_is_no_excess(rng):
+def test_rounding_errors_at_a_limit_are_accepted(rng):
     first = spliced(rng)
     second = spliced(rng, first)
     used = prepare(RIG, second, 1, before=(first,))[1].usage
@@ -280,7 +280,7 @@ def test_a_cycle_may_continue_any_of_the_last_tables(rng, earlier):
         guard.resting(0.55).accepted(follower, 9, 0.55)
 
 
-def test_what_was_refused_is_not_followed(pair, rng):
+def test_a_cycle_cannot_continue_a_refused_cycle(pair, rng):
     first, second = pair
     guard, _ = Guard(RIG).accepted(first, 10, 10.0)
     with pytest.raises(CycleError, match="is older than the last"):
@@ -471,7 +471,7 @@ def sender(rng, guard, last):
     ][rng.choice(11, p=[0.2, 0.2, 0.2, *[0.05] * 8])]()
 
 
-def test_whatever_comes_through_the_guard_the_plate_never_jumps():
+def test_the_plate_never_jumps_with_random_cycles():
     totals, warmest = np.zeros(3, int), 0.0
     rig = replace(RIG, limits=replace(RIG.limits, continuous_force=1.0, thermal_time_s=3.0))
     for seed in range(6):
@@ -561,7 +561,7 @@ def test_a_stream_that_has_sent_beyond_the_splice_takes_nothing_back(pair, rng):
         SetpointStream.of(second, 1)
 
 
-def test_whatever_is_streamed_the_plate_never_jumps():
+def test_the_plate_never_jumps_with_random_streamed_cycles():
     totals = np.zeros(3, int)
     for seed in range(6):
         rng = np.random.default_rng(seed)

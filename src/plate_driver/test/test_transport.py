@@ -96,7 +96,7 @@ def test_sim_publishes_and_rests_when_stopped():
     assert transport.report().condition is Condition.READY
 
 
-def test_what_exists_is_allowed():
+def test_installed_transports_are_allowed():
     assert {"sim", "serial"} <= set(installed())
     check_transport("sim", "")
     check_transport("serial", "/dev/ttyUSB0")

@@ -67,7 +67,7 @@ def test_a_form_that_cannot_be_changed_in_one_place_is_not_written(path):
     refused(path, {"motor_1": Drive(1, 2e6)}, "was not changed, .*by hand: .* alias 'c'")
 
 
-def test_what_a_link_leads_to_is_written(path):
+def test_the_target_of_a_symbolic_link_is_written(path):
     link = path.with_name("link.yaml")
     link.symlink_to(path)
     write(link, {"motor_1": Drive(1, 1e6, -1)})

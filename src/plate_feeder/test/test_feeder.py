@@ -87,7 +87,7 @@ class Cell:
         return self.replies.pop(0)
 
 
-def test_nothing_runs_until_a_command_comes():
+def test_the_task_does_not_run_before_a_command():
     cell = Cell()
     cell.run(5)
     assert not cell.output.run
@@ -121,7 +121,7 @@ def test_the_planner_rests_by_itself_before_it_is_ordered_to():
     assert cell.output.order.mode is FeedMode.REST
 
 
-def test_which_parts_are_ready_is_judged_when_the_plate_rests():
+def test_ready_parts_are_evaluated_when_the_plate_rests():
     cell = Cell(ready=("black_1",))
     cell.get()
     cell.run()
@@ -452,7 +452,7 @@ def test_the_end_of_the_task_keeps_the_reservation_and_its_report(end):
     assert not cell.output.run
 
 
-def test_where_nothing_was_stopped_there_is_nothing_to_resume():
+def test_resume_without_a_stop_has_no_effect():
     cell = Cell()
     cell.get()
     cell.run(3)
@@ -481,7 +481,7 @@ def test_counts_go_on_from_task_to_task():
     assert cell.feeder.quantity().discharged == 5
 
 
-def test_who_gives_up_gets_no_answer_but_a_reservation_stays():
+def test_a_canceled_request_gets_no_reply_but_a_reservation_stays():
     cell = Cell()
     cell.get()
     cell.feeder.cancel("other")
@@ -623,7 +623,7 @@ def test_no_hopper_opens_over_a_robot_and_no_part_is_reported_on_which_others_fa
     assert len(cell.opened) == 2
 
 
-def test_what_falls_while_a_robot_hides_it_is_counted_before_the_hopper_opens_again():
+def test_parts_that_fall_while_a_robot_hides_them_are_counted_before_the_hopper_opens():
     """Until the robot has left, the planner uses the last image before. Otherwise newly dropped
     parts would be dropped again, and parts below the robot would be offered."""
     place = replace(BLACK, low=(-0.2, -0.1))

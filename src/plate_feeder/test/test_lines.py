@@ -111,5 +111,5 @@ def test_quantities():
     assert text == "seen=4 ready=2 taken=5 discharged=1 lost=0 black=3 grey=1"
 
 
-def test_one_code_is_that_of_a_fulfilled_request():
+def test_only_one_code_means_a_fulfilled_request():
     assert {code for code in Code if code.done} == {Code.DONE}

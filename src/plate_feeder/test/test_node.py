@@ -225,7 +225,7 @@ def graph(make):
     return graph
 
 
-def test_nothing_moves_until_a_request_and_a_part_is_reported(graph):
+def test_the_task_begins_with_a_request_whose_result_is_a_part(graph):
     graph.spin(0.3)
     assert graph.planner.began == 0
     status, result = graph.result(graph.send("get_part", GetPart.Goal()))
@@ -506,7 +506,7 @@ def test_purge_ends_the_task(graph):
     assert graph.say(robot, "purge 0.3").startswith("508 15 parts")
 
 
-def test_what_waits_is_answered_when_it_is_deactivated(graph):
+def test_waiting_requests_are_answered_when_the_node_is_deactivated(graph):
     graph.planner.ready = {}
     robot = graph.robot()
     graph.ask(robot, "get_part")

@@ -267,7 +267,7 @@ def test_a_flood_of_lines_does_not_grow(stub, robot):
     assert len(got) <= MAX_ANSWERS + 2
 
 
-def test_what_waits_is_answered_before_it_closes():
+def test_waiting_requests_are_answered_before_the_server_closes():
     stub = Stub()
     robot = stub.connect()
     robot.send(b"get_part\n")

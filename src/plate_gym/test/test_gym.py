@@ -223,7 +223,7 @@ def test_some_plates_restart(gym):
     assert info["_time_s"].tolist() == mask.tolist()
 
 
-def test_what_comes_too_early_or_in_wrong_numbers_is_refused(gym):
+def test_calls_before_reset_or_with_wrong_shapes_are_refused(gym):
     import gymnasium
 
     from plate_gym.agent import Brief
@@ -310,7 +310,7 @@ def test_motions_keep_the_limits_and_use_them(gym):
     assert usage(rig, small).overall < 0.2
 
 
-def test_what_counts(gym):
+def test_success_and_loss_by_the_true_positions(gym):
     """Parts put where they belong: done after `hold_s`. One that is put off the plate is lost."""
     env = gym.PlateEnv("Sort4-v1")
     _, info = env.reset(seed=1)
@@ -390,7 +390,7 @@ def test_parts_that_leave_count_unless_they_are_meant_to(gym):
         assert name not in info["ids"]
 
 
-def test_who_has_fed_27_parts_in_a_minute_has_done_it(gym):
+def test_feed_succeeds_with_27_parts_in_a_minute(gym):
     env = gym.PlateEnv("Feed-v1")
     for picks, done in ((26, False), (27, True)):
         env.reset(seed=0)
@@ -403,7 +403,7 @@ def test_who_has_fed_27_parts_in_a_minute_has_done_it(gym):
         assert (info["there"], reward) == (picks, done)
 
 
-def test_who_is_where_the_path_leads_has_followed_it(gym):
+def test_follow_succeeds_if_the_part_is_on_the_path(gym):
     """Two laps on a circle of 120 mm: 8.02 s at the greatest speed whose v^2/r is 0.12 mu g."""
     env = gym.PlateEnv("Follow1-v1")
     seen, info = env.reset(seed=0)
@@ -466,7 +466,7 @@ def test_ours_feeds_as_fast_as_the_robot_takes(gym):
         assert (info["there"] == 10) == (info["waiting"] == 0) == works
 
 
-def test_what_is_seen(gym):
+def test_observations_have_noise_latency_and_misses(gym):
     """True positions with noise, with the latency and the misses of the world."""
     env = gym.PlateEnv("Sort10-v1")
     true = env.reset(seed=2)[0], env.plates.plates[0].simulation.state

@@ -75,7 +75,7 @@ def test_ours_sorts_and_is_the_same_again(bench, result):
         ("places", "00", "seed 1: places is '00' in the result, "),
     ],
 )
-def test_what_was_changed_is_noticed(bench, result, key, value, words, monkeypatch):
+def test_a_changed_result_is_detected(bench, result, key, value, words, monkeypatch):
     rows = {row["seed"]: row for row in result["tasks"]["Sort4-v1"]["rows"]}
     monkeypatch.setattr(bench, "episode", lambda agent, world, task, seed: rows[seed])
     changed = copy.deepcopy(result)
@@ -129,7 +129,7 @@ def test_what_was_changed_is_noticed(bench, result, key, value, words, monkeypat
         (["tasks", "Sort5-v1"], {}, "result: task is 'Sort5-v1'"),
     ],
 )
-def test_what_is_no_result_is_refused(bench, result, path, value, words):
+def test_an_invalid_result_is_refused(bench, result, path, value, words):
     changed = {"": copy.deepcopy(result)}
     path, place = ["", *path], changed
     for key in path[:-1]:
@@ -255,7 +255,7 @@ def module(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("name", CHEATS)
-def test_who_cheats_or_fails_is_named(bench, module, name):
+def test_an_agent_that_cheats_or_fails_is_named(bench, module, name):
     with pytest.raises(PlateError, match=f"agent odd_agents:{name}, Sort4-v1, seed 3, step 0: "):
         bench.evaluate(f"odd_agents:{name}", "Sort4-v1", np.arange(3, 4))
 
@@ -370,7 +370,7 @@ def test_wrong_limits_are_refused(bench, limits, words):
         ("broken_agents:Any", "broken_agents:Any cannot be loaded: ZeroDivisionError: division"),
     ],
 )
-def test_what_is_no_agent_is_refused(bench, module, name, words):
+def test_an_invalid_agent_is_refused(bench, module, name, words):
     with pytest.raises(PlateError) as problem:
         bench.agent_class(name)
     assert words in str(problem.value)
@@ -439,7 +439,7 @@ def in_this_process(bench, monkeypatch):
     monkeypatch.setattr(bench, "episodes", here)
 
 
-def test_what_was_done_before_a_failure_is_kept(bench, result, monkeypatch, tmp_path, capsys):
+def test_results_before_a_failure_are_kept(bench, result, monkeypatch, tmp_path, capsys):
     row, problems = result["tasks"]["Sort4-v1"]["rows"][0], []
 
     def episode(agent, world, task, seed):

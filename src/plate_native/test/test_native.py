@@ -98,7 +98,7 @@ def damage(entry):
     entry.write_bytes(content)
 
 
-def test_what_is_damaged_is_compiled_again(package):
+def test_a_damaged_cache_entry_is_compiled_again(package):
     build()
     for spoil in (damage, lambda entry: os.truncate(entry, 40), Path.unlink):
         as_in_another_clone()
@@ -110,7 +110,7 @@ def test_what_is_damaged_is_compiled_again(package):
 
 
 @pytest.mark.parametrize("place", ["/dev/null", "/proc", "not/absolute"])
-def test_nothing_is_kept_where_nothing_can_be_written(package, monkeypatch, place):
+def test_without_a_writable_cache_the_build_still_works(package, monkeypatch, place):
     monkeypatch.setenv("XDG_CACHE_HOME", place)
     assert build() == (ALL, 1)
     assert build() == ([], 1)

@@ -93,7 +93,7 @@ def test_the_default_until_two_stamps_are_known():
     assert period_after(5.0, 5.05) == pytest.approx(0.05)
 
 
-def test_one_lost_image_changes_nothing():
+def test_one_lost_image_does_not_change_the_period():
     assert period_after(0.0, 0.05, 0.10, 0.20, 0.25) == pytest.approx(0.05)
 
 
@@ -154,7 +154,7 @@ def played(count, late, log=None):
 
 
 @pytest.mark.parametrize("late", [0, 1, 2, 3])
-def test_how_late_answers_begin_is_learnt(late):
+def test_the_delay_of_results_is_estimated(late):
     log = played(12, late)
     assert log.delay == late
     ahead = log.until_answer
@@ -172,7 +172,7 @@ def test_the_plate_rests_until_a_delayed_cycle_begins():
     assert ahead.end == pytest.approx(log.end + 0.3)
 
 
-def test_one_late_answer_is_not_expected_of_the_next():
+def test_one_late_result_does_not_change_the_estimated_delay():
     log = played(8, 0)
     log = (
         log.record_cycle(swinging(50), 0.75, 0.7)
@@ -279,7 +279,7 @@ def test_a_tail_is_no_cycle_as_others():
     assert log.delays == (0,)
 
 
-def test_nothing_is_certain_where_answers_begin_late():
+def test_the_motion_is_not_certain_if_results_are_late():
     assert played(12, 0).certain
     assert not played(12, 1).certain
 
@@ -338,7 +338,7 @@ def test_reports_also_show_whether_images_are_taken_at_starts():
     assert not log.started(SHORT, 1.1, triggered=True).free_running
 
 
-def test_what_was_sent_is_kept_where_no_image_came_for_long():
+def test_sent_cycles_are_kept_during_a_long_time_without_images():
     log = CycleLog().record_cycle(SHORT, 0.0).advance(0.1).record_cycle(swinging(3), 0.15)
     late = 0.2 + MEMORY_S + 1e-3
     log = log.advance(late)
@@ -347,7 +347,7 @@ def test_what_was_sent_is_kept_where_no_image_came_for_long():
     assert log.answered_start == 0.1
 
 
-def test_what_is_awaited_may_move_the_plate_until_it_has_begun():
+def test_an_expected_cycle_may_move_the_plate_until_it_has_begun():
     log = reported((1.0, SHORT)).record_cycle(LEAVES, 1.05, 1.0)
     assert log.may_move(1.1)
     assert not log.may_move(1.0 - MEMORY_S - 1e-3)  # the clock was put back

@@ -241,7 +241,7 @@ class Windy(World):
         self.place = self.past[-1]
 
 
-def test_what_parts_do_beyond_what_the_model_knows_is_observed():
+def test_a_drift_that_the_model_omits_is_estimated():
     *_, (estimator, _) = estimated(Windy(3, 1.0), 40)
     # The filter takes some for speed.
     assert estimator.bias.drift == pytest.approx(Windy.wind, abs=2e-3)
@@ -285,7 +285,7 @@ def test_the_bias_is_no_more_than_it_may_be():
     assert np.max(np.abs(bias.drift)) == pytest.approx(0.05)
 
 
-def test_nothing_is_learnt_from_what_was_not_predicted_or_not_seen():
+def test_the_bias_ignores_parts_that_were_not_predicted_or_not_detected():
     drift = np.full((2, 2), 0.01)
     hidden = learnt(drift, 5, 0.7, seen=(False, True))
     assert not np.any(hidden.drift[0])

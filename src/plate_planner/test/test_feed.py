@@ -196,7 +196,7 @@ def test_a_hidden_part_is_still_in_the_way():
     assert set(memory.report.ready.ids) == {"black_2", "black_3"}
 
 
-def test_what_nobody_wants_goes_to_the_chute():
+def test_unwanted_parts_go_to_the_chute():
     seen = parts(**LONE, grey_1=(-0.2, 0.0), grey_2=(-0.1, 0.0))
     _, found = run(TASK, seen)
     targets = found.request
@@ -327,7 +327,7 @@ def test_orders_change_what_is_done_and_wrong_ones_are_refused():
         stay.order(state, FeedOrder(FeedMode.PURGE))
 
 
-def test_what_a_robot_hides_is_where_it_was_and_comes_back_under_any_name():
+def test_parts_hidden_by_a_robot_keep_their_positions_and_may_get_new_ids():
     feed = Planner(RIG, replace(SCENARIO, task=replace(TASK, chute=None)))
     state = feed.start(feed.initial())
     crowd, hidden = parts(**LONE, black_4=(0.0, 0.1)), parts(**LONE, grey_9=(0.1, 0.05))

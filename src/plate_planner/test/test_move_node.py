@@ -95,7 +95,7 @@ def test_targets_that_cannot_be_are_refused_in_the_diagnostics(graph):
     graph.until(lambda: "black_7 is unknown" in graph.planner._health.values(0.0)["refusal"])
 
 
-def test_whatever_is_sent_the_targets_in_force_are_on_the_plate(graph):
+def test_random_targets_never_lead_off_the_plate(graph):
     graph = graph()
     graph.begin(100.0, play(HERE))
     rng = np.random.default_rng(0)

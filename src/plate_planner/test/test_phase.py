@@ -108,7 +108,7 @@ def test_a_time_limit_reports_whether_parts_still_approached():
     )
 
 
-def test_what_explains_a_failure_is_worked_out_at_the_end_alone():
+def test_the_explanation_of_a_failure_is_computed_only_at_the_end():
     called = []
     found = Findings(GONE, False, 0.1, detail=lambda: called.append(1) or "", loss=called.append)
     state = evaluate(evaluate(RUNNING, 101.0, found, LIMITS), 102.0, found, LIMITS)
@@ -124,7 +124,7 @@ def test_a_part_may_hide_for_a_while():
     assert (state.text, state.ended) == ("lost part after 2.0 s: black_1", 102.0 + EPS)
 
 
-def test_nothing_is_done_while_a_part_is_only_predicted():
+def test_a_task_is_not_done_while_a_part_is_only_predicted():
     """The part may have fallen off. Once all parts are detected again, the hold continues."""
     state = evaluate(RUNNING, 100.0, Findings((), True, 0.0), LIMITS)
     hidden = evaluate(state, 101.0, Findings((), True, 0.0, all_seen=False), LIMITS)
@@ -132,7 +132,7 @@ def test_nothing_is_done_while_a_part_is_only_predicted():
     assert evaluate(hidden, 101.1, Findings((), True, 0.0), LIMITS).phase is Phase.DONE
 
 
-def test_nothing_is_done_before_the_plate_rests():
+def test_a_task_is_not_done_before_the_plate_rests():
     """An image of a moving plate shows a part that this cycle leaves behind the edge."""
     swing, still = (Findings((), True, 0.0, at_rest=rest) for rest in (False, True))
     held = evaluate(evaluate(RUNNING, 101.0, swing, LIMITS), 101.5, swing, LIMITS)
@@ -146,7 +146,7 @@ def test_nothing_is_done_before_the_plate_rests():
     assert (end.phase, end.reason) == (Phase.LOST, Reason.PART_LEFT)
 
 
-def test_what_was_held_in_time_has_time_to_come_to_rest():
+def test_a_goal_held_within_the_time_limit_gets_time_to_come_to_rest():
     swing, still = (Findings((), True, 0.0, at_rest=rest) for rest in (False, True))
     held = evaluate(evaluate(RUNNING, 109.5, swing, LIMITS), 110.0, swing, LIMITS)
     assert evaluate(held, 110.3, still, LIMITS).phase is Phase.DONE
@@ -204,7 +204,7 @@ def test_to_stop_aborts_a_running_task_only():
 
 
 @pytest.mark.parametrize("phase", [Phase.DONE, Phase.STUCK, Phase.LOST, Phase.ABORTED, Phase.IDLE])
-def test_what_has_ended_stays_ended(phase):
+def test_an_ended_task_stays_ended(phase):
     ended = replace(RUNNING, phase=phase, ended=103.0)
     assert run((104.0, (), True), (999.0, GONE, False), state=ended) == ended
 

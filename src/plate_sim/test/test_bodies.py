@@ -164,7 +164,7 @@ def test_parts_that_do_not_meet_do_as_each_alone():
 
 
 @pytest.mark.parametrize("walls", [False, True])
-def test_how_often_parts_are_recorded_changes_nothing(walls):
+def test_the_recording_interval_does_not_change_the_motion(walls):
     """Discs meet, and leave a turning plate where they pass its edge."""
     rng, half = np.random.default_rng(9), np.array([0.1, 0.07])
     place = np.stack(np.meshgrid([-0.09, -0.03, 0.03, 0.09], [-0.06, 0, 0.06]), -1).reshape(-1, 2)

@@ -89,7 +89,7 @@ def test_parts_of_other_shapes():
         (("", "black", "grey_1"), "parts black_3 and grey_1 overlap by 1[0-9.]* mm"),
     ],
 )
-def test_what_cannot_lie_there_is_refused_and_nothing_changes(what, words):
+def test_a_part_that_cannot_be_placed_is_refused(what, words):
     simulation = world()
     before = simulation.state
     name, label, place, *angle = what

@@ -209,7 +209,7 @@ def test_sizes_scale_outlines_and_marks():
         assert np.abs(image[window] - alone[window]).max() <= 1
 
 
-def test_what_is_off_costs_nothing(monkeypatch):
+def test_effects_that_are_off_are_not_computed(monkeypatch):
     """No outline is computed, nothing is blurred or scaled, and the camera's position is not
     computed."""
 

@@ -174,7 +174,7 @@ class Host:
         return self.emulator.faults
 
 
-def test_what_is_played_is_recorded_whole():
+def test_the_record_of_played_motion_has_no_gap():
     host = Host()
     host.begin()
     first, second = shaking(0.001), shaking(0.002)

@@ -223,7 +223,7 @@ def test_a_hopper_is_opened_for_a_time_that_makes_sense(duration):
     assert len(simulation.state.ids) == 10
 
 
-def test_where_there_is_no_hopper_none_is_opened():
+def test_a_hopper_can_be_opened_only_if_the_scenario_has_one():
     feed = load_scenario("feed")
     shut = replace(feed, task=replace(feed.task, hopper=None))
     for scenario in (load_scenario("sort_4"), shut):
@@ -337,7 +337,7 @@ def test_grips_fail_at_the_requested_rate_and_move_the_part_a_little():
     assert slipped / count == pytest.approx(share, abs=4 * np.sqrt(share * (1 - share) / count))
 
 
-def test_what_slips_in_a_heap_lies_on_nothing():
+def test_a_part_that_slips_from_the_gripper_does_not_overlap_others():
     simulation = world(parts=False, seed=1, disturbances=Disturbances(pick_failure=1.0))
     simulation.open_hopper(3.0)
     run(simulation, 31)
@@ -366,7 +366,7 @@ def test_the_rate_of_failures_may_change_meanwhile():
         ((2, 0.0, 0.0, np.inf), "angle is inf, allowed: finite"),
     ],
 )
-def test_what_the_robot_cannot_do_is_refused(move, words):
+def test_impossible_robot_moves_are_refused(move, words):
     simulation = world(noise=0.0)
     before, image = simulation.state, simulation.capture()
     with pytest.raises(PlateError, match=words):
@@ -464,7 +464,7 @@ def test_other_scenarios_keep_what_has_left_the_plate():
     assert simulation.dropped == 2
 
 
-def test_what_the_robot_took_and_a_hand_put_back_is_no_longer_taken():
+def test_a_taken_part_that_is_placed_again_counts_as_on_the_plate():
     simulation = Simulation(DISCS, load_scenario("sort_4"), 0, Disturbances(tilt_x=-SLOPE))
     taken = simulation.move_robot(Move.GRIP, *simulation.state.position[0])
     simulation.place(taken.id, "", np.zeros(2))

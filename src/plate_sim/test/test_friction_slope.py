@@ -107,7 +107,7 @@ def test_next_to_nothing_of_either_changes_next_to_nothing(name):
     np.testing.assert_allclose(with_it.spin, without.spin, atol=1e-3)
 
 
-def test_what_is_out_of_range_or_not_there_is_refused():
+def test_ground_effects_out_of_range_or_not_modelled_are_refused():
     with pytest.raises(PlateError, match=r"friction_slope is 6\.0, allowed: -5 to 5"):
         Ground(friction_slope=6.0)
     assert Disturbances(friction_slope=-1).ground == Ground(friction_slope=-1)

@@ -281,7 +281,7 @@ def test_a_hopper_is_opened_and_a_robot_takes_parts():
         assert msg_to_parts(loop.truths[-1]).ids == truth.ids[1:]
 
 
-def test_what_hopper_and_robot_cannot_do_is_refused_in_words():
+def test_impossible_calls_of_hopper_and_robot_return_the_reason():
     duration = float("nan")
     with Loop(lockstep=True, scenario="feed") as loop:
         reply = open_hopper(loop, duration)
@@ -479,7 +479,7 @@ def test_a_table_in_motion_follows_the_one_that_ends_so_else_the_plate_comes_to_
         assert loop.simulator._count["held cycles"] == 0
 
 
-def test_where_no_table_comes_in_real_time_the_tail_is_played_and_then_the_plate_rests():
+def test_without_a_new_table_the_tail_is_played_and_the_plate_rests():
     with Loop(idle_period=0.05) as loop:
         starts = hear_starts(loop)
         assert loop.spin(loop.tables.get_subscription_count)

@@ -264,7 +264,7 @@ def test_unequal_motors_couple_as_in_the_transfer_matrix():
 
 
 @pytest.mark.parametrize("drive", DRIVES.values(), ids=DRIVES)
-def test_one_cycle_goes_on_where_the_last_one_ended(drive):
+def test_a_cycle_continues_where_the_last_cycle_ended(drive):
     """Two runs of a cycle are one run of a cycle twice as long."""
     hung, cycle = rig(**drive), wild()
     first, state = realise(hung, PlateState.at_rest(), cycle)

@@ -238,7 +238,7 @@ def test_gradient_agrees_with_differences(seed):
         np.testing.assert_allclose(gradient[c, k], slope, rtol=1e-5, atol=1e-6)
 
 
-def test_where_the_surface_stands_still_there_is_no_force():
+def test_without_slip_there_is_no_force():
     none = np.zeros((8, 3))
     for array in (
         step_forces(PLACES, STILL, none, np.ones(8)),

@@ -17,7 +17,7 @@ def made_forces(rng: np.random.Generator, number: int, position: np.ndarray) -> 
 
 
 @pytest.mark.parametrize("number", [1, 2, 3, 5])
-def test_one_part_is_sharp(number):
+def test_the_bound_for_one_part_is_tight(number):
     most = (number - 1) / (number + 1)
     way = np.array([[0.6, 0.8]])
     place = np.array([[0.1, 0.05]])
@@ -26,7 +26,7 @@ def test_one_part_is_sharp(number):
 
 
 @pytest.mark.parametrize(("parts", "number"), [(2, 2), (3, 2), (6, 3), (10, 2)])
-def test_what_a_motion_does_is_never_proven_out_of_reach(parts, number):
+def test_forces_of_an_existing_motion_are_never_proven_infeasible(parts, number):
     rng = np.random.default_rng(parts)
     for _ in range(12):
         position = rng.uniform(-1, 1, (parts, 2)) * [0.3, 0.15]

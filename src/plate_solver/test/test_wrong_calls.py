@@ -89,7 +89,7 @@ def test_pairs_of_parts_that_there_are_not_are_refused():
 
 
 @pytest.mark.parametrize("name", ["trace", "adjoint", "trace_turning", "adjoint_turning"])
-def test_what_is_written_is_written_in_place(name):
+def test_output_arrays_that_would_be_copied_are_refused(name):
     """A copy that is written in vain would be no error that anybody sees."""
     right = CALLS[name]
     written = (0, 4) if "trace" in name else (4,)

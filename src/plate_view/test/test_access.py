@@ -35,7 +35,7 @@ def test_a_token_makes_a_viewer_or_an_operator():
     [("somewhere",), ("0.0.0.0", "short"), ("0.0.0.0", "with spaces in"),
      ("0.0.0.0", OPERATOR, OPERATOR), ("127.0.0.1", "", "short")],
 )  # fmt: skip
-def test_what_cannot_be_is_refused(words):
+def test_invalid_access_options_are_refused(words):
     with pytest.raises(AccessError, match="allowed"):
         Access(*words)
 

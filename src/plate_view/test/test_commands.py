@@ -84,7 +84,7 @@ WRONG = [
 
 
 @pytest.mark.parametrize("text", WRONG)
-def test_what_is_wrong_is_refused_with_what_is_allowed(text):
+def test_a_wrong_command_is_refused_with_the_allowed_values(text):
     with pytest.raises(CommandError, match="allowed"):
         read_command(text, Role.OPERATOR)
 
@@ -98,7 +98,7 @@ JSON = st.recursive(
 
 @settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])  # of a busy machine
 @given(st.sampled_from(sorted(COMMANDS)), st.dictionaries(st.text(max_size=8), JSON), st.data())
-def test_nothing_but_commands_and_refusals(name, extra, data):
+def test_random_input_is_a_command_or_is_refused(name, extra, data):
     """Any input is parsed or refused, and parsed commands can be printed."""
     values = {key: data.draw(JSON) for key in COMMANDS[name]}
     text = json.dumps({"do": name, **values, **extra})
@@ -118,7 +118,7 @@ def test_calls_have_the_text_of_a_command():
     assert "id" not in shlex.split(reported["place"])[-1]
 
 
-def test_what_a_shell_would_take_for_its_own_is_quoted():
+def test_special_characters_of_a_shell_are_quoted():
     command = Command("set", 1, {"node": "a", "name": "b", "value": "$(reboot)'; ls"})
     line = call_text(command)
     assert shlex.split(line) == ["plate", "set", "a", "b", "$(reboot)'; ls"]

@@ -6,7 +6,7 @@ from plate_view import inbox
 from plate_view.commands import Command
 
 
-def test_what_waits_too_long_has_grown_old(monkeypatch):
+def test_a_command_that_waits_too_long_is_old(monkeypatch):
     box = inbox.Inbox()
     for name in ("move", "enable"):
         box.put("browser", Command(name, 1, {}))

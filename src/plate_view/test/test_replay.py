@@ -93,7 +93,7 @@ def mixed_bag(folder, *topics):
         ("/robot", ["/parts", "/robot/parts"], {"/parts"}),
     ],
 )
-def test_of_several_plates_only_one_is_shown(tmp_path, namespace, topics, shown):
+def test_the_replay_shows_only_one_of_several_plates(tmp_path, namespace, topics, shown):
     received = []
     replay = Replay(
         mixed_bag(tmp_path / "bag", *topics),
@@ -164,7 +164,7 @@ def test_it_plays_at_its_rate_and_ends(replay, received, monkeypatch):
         replay.set_rate(100.0)
 
 
-def test_what_is_no_recorded_run_is_refused(tmp_path, bag):
+def test_a_folder_without_a_recorded_run_is_refused(tmp_path, bag):
     with pytest.raises(PlateError, match="allowed: the folder of a recorded run"):
         Replay(tmp_path / "nothing", KINDS, print)
     with pytest.raises(PlateError, match="allowed: a bag with topics of image"):

@@ -113,7 +113,7 @@ def test_rig_types_and_nodes():
 
 
 @pytest.mark.parametrize("rig", [RIG, SHAPES], ids=["default", "shapes"])
-def test_what_lies_at_a_place_is_shown_there(rig):
+def test_the_top_view_shows_a_disc_at_its_position(rig):
     """A disc drawn where the camera sees (0.1, -0.05) m is at the picture's place of that point."""
     at = np.array([0.1, -0.05])
     seen = homography(rig) @ [*at, 1]

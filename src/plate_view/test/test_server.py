@@ -54,7 +54,7 @@ async def answer(connection, number):
             return message
 
 
-def test_what_was_sent_while_it_stood_still_is_not_done_but_for_stops(server, taken):
+def test_commands_during_a_standstill_are_refused_except_stops(server, taken):
     server._standstill.max_s = 0.2
 
     async def talk():
