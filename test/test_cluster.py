@@ -1,5 +1,6 @@
 """Runs on a Dask cluster: a real scheduler and real workers on the loopback."""
 
+import asyncio
 import contextlib
 import json
 import os
@@ -10,11 +11,12 @@ import subprocess
 import sys
 import threading
 import time
-from concurrent.futures import ThreadPoolExecutor, as_completed, wait
+from concurrent.futures import CancelledError, ThreadPoolExecutor, as_completed, wait
 from importlib import import_module
 from importlib.metadata import version
 from itertools import islice
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 import yaml
@@ -59,11 +61,12 @@ class Processes:
         return process
 
     def scheduler(self):
-        """Start the scheduler, the first time on a free port."""
+        """Start the scheduler without the project's packages, the first time on a free port."""
         port = self.address.rpartition(":")[2] or "0"
         file = self.folder / f"scheduler{len(self.processes)}.json"
         place = ("--host", "127.0.0.1", "--port", port, "--no-dashboard")
-        process = self.start("scheduler", *place, "--scheduler-file", str(file))
+        words = ("scheduler", *place, "--scheduler-file", str(file))
+        process = self.start(*words, PYTHONPATH="")
         until(lambda: file.exists() and file.read_text().strip())
         self.address = json.loads(file.read_text())["address"]
         return process
@@ -128,8 +131,13 @@ def _shared(tmp_path_factory, place):
 
 @pytest.fixture(name="pool")
 def _pool(shared, messages):
-    """A cluster of two workers."""
-    with Cluster(shared.address, report=messages.append) as pool:
+    """A cluster of two workers. The messages cannot be printed, as with a closed standard error."""
+
+    def report(text):
+        messages.append(text)
+        raise BrokenPipeError
+
+    with Cluster(shared.address, report=report) as pool:
         yield pool
 
 
@@ -253,7 +261,7 @@ def test_workers_without_a_module_are_refused(shared, messages, tmp_path, monkey
 def test_a_worker_that_does_not_answer_is_reported(shared, messages, monkeypatch):
     """It joins before it is compared, such as a frozen one."""
     monkeypatch.setattr(cluster, "FIRST_S", 0.2)
-    monkeypatch.setattr(Cluster, "_check_worker", lambda pool, name: None)
+    monkeypatch.setattr(Cluster, "_check_worker", lambda *words: None)
     with Cluster(shared.address, modules=("json",), report=messages.append):
         assert messages == ["waiting for workers; their comparison takes more than 0.2 s"]
 
@@ -336,10 +344,89 @@ def test_a_run_is_not_lost_if_the_connection_is_cut_while_its_result_is_transmit
     assert cuts
 
 
+def test_a_scheduler_that_does_not_answer_is_replaced(pool, monkeypatch, messages):
+    """Such as a frozen one, or one behind a tunnel that has lost its network."""
+
+    async def no_answer(**words):
+        monkeypatch.setattr(cluster, "RETURN_S", WAIT_S)
+        await asyncio.sleep(2 * WAIT_S)
+
+    monkeypatch.setattr(pool._client.scheduler, "identity", no_answer, raising=False)
+    monkeypatch.setattr(cluster, "RETURN_S", 0.1)
+    until(lambda: any("connected again" in line for line in messages))
+    assert numbers(submitted(pool, 2, 0)) == [0, 1]
+
+
+def test_the_reason_is_named_if_the_connection_stays_lost(pool, monkeypatch):
+    def other_version(address):
+        raise PlateError("the scheduler has another version")
+
+    monkeypatch.setattr(cluster, "RETURN_S", 0.2)
+    monkeypatch.setattr(cluster, "_connect", other_version)
+    run = pool.submit(eval, "sum(0 for _ in iter(int, 1))")
+    pool._client.loop.add_callback(pool._client._close)
+    with pytest.raises(PlateError, match=r"no connection for 0\.2 s; the scheduler has anoth"):
+        run.result(WAIT_S)
+
+
+def test_a_connection_that_is_lost_at_the_start_is_named(shared, monkeypatch):
+    connect = cluster._connect
+
+    def connect_and_lose(address):
+        client = connect(address)
+        client.close()
+        return client
+
+    monkeypatch.setattr(cluster, "_connect", connect_and_lose)
+    with pytest.raises(PlateError, match="the connection is lost"):
+        Cluster(shared.address)
+    monkeypatch.setattr("distributed.Client", Mock(side_effect=OSError("cut")))
+    with pytest.raises(PlateError, match=r"no Dask scheduler answers .*OSError: cut"):
+        connect(shared.address)
+
+
+def test_a_paused_worker_is_reported_once(pool, monkeypatch, messages):
+    """Dask pauses a worker whose memory is full."""
+    worker = {"resources": {pool._key: 1}, "status": "paused"}
+    monkeypatch.setattr(pool, "_scheduler_info", lambda: {"workers": {"tcp://1.2.3.4:5": worker}})
+    for _ in range(2):
+        assert pool._check_new_workers() == (1, 1)
+    (line,) = (line for line in messages if "tcp://1.2.3.4:5" in line)
+    assert "more free memory" in line
+
+
+def test_facts_that_cannot_be_read_refuse_a_worker(monkeypatch):
+    """Also after an OSError. After the OSError of a lost connection, the check is repeated."""
+    monkeypatch.setattr(cluster, "facts", Mock(side_effect=OSError("no disk")))
+    found = asyncio.run(cluster._compare_and_admit("key", {}, (False, (), ""), None))
+    assert found == ["OSError: no disk"]
+
+
+def test_the_scheduler_receives_a_limited_number_of_runs(shared, monkeypatch, tmp_path):
+    monkeypatch.setattr(cluster, "AHEAD", 1)
+    with Cluster(shared.address) as pool:
+        runs = [pool.submit(eval, ENDLESS.format(str(tmp_path / "begun"))), *submitted(pool, 2, 0)]
+        until((tmp_path / "begun").exists)
+        assert len(pool._sent) == 1
+        runs[0].cancel()
+        assert numbers(runs[1:]) == [0, 1]
+
+
+RAISED = "(_ for _ in ()).throw(__import__({!r}, fromlist=['_']).{})"
+"""A run that raises an exception."""
+
+
 @pytest.mark.parametrize(
     ("run", "error", "words"),
     [
         ("1 / 0", ZeroDivisionError, "division"),
+        (RAISED.format("builtins", "TimeoutError('slow')"), TimeoutError, "slow"),
+        (RAISED.format("concurrent.futures", "CancelledError('own')"), CancelledError, "own"),
+        (RAISED.format("asyncio", "CancelledError()"), PlateError, "has raised asyncio"),
+        (RAISED.format("builtins", "GeneratorExit()"), PlateError, "has raised GeneratorExit"),
+        (RAISED.format("distributed", "Reschedule('own')"), Exception, "own"),
+        (RAISED.format("only_there", "Odder('its text')"), PlateError, "Odder: its text"),
+        ("__import__('only_there').fail()", PlateError, "Odder: <unlocked"),
         ("__import__('threading').Lock()", TypeError, "pickle"),
         ("__import__('only_there').Odd()", PlateError, "cannot be read here: ModuleNotFoundError"),
         ("__import__('sys').exit(3)", PlateError, "a run has raised SystemExit: 3"),
@@ -347,7 +434,9 @@ def test_a_run_is_not_lost_if_the_connection_is_cut_while_its_result_is_transmit
 )
 def test_an_error_of_a_run_is_raised_here(pool, place, run, error, words):
     """Also if only the worker can read its result. The worker continues."""
-    (place / "only_there.py").write_text("class Odd:\n    pass\n", encoding="utf-8")
+    text = "class Odd: pass\nclass Odder(Exception): pass\n"
+    text += "def fail(): raise Odder(__import__('threading').Lock())\n"
+    (place / "only_there.py").write_text(text, encoding="utf-8")
     with pytest.raises(error, match=words):
         pool.submit(eval, run).result(WAIT_S)
     assert numbers(submitted(pool, 2, 0)) == [0, 1]

@@ -15,6 +15,8 @@ import socket
 import sys
 import threading
 import time
+import traceback
+import uuid
 import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, Future, InvalidStateError, wait
@@ -34,7 +36,8 @@ CONNECT_S = 5.0
 """Maximum time in which the scheduler must answer [s]."""
 
 RETURN_S = 60.0
-"""Maximum time for which the connection to the scheduler may be lost [s]."""
+"""Maximum time for which the connection to the scheduler may be lost, and for which a connected
+scheduler may not answer [s]."""
 
 POLL_S = 0.5
 """Interval between two searches for new workers [s]."""
@@ -47,6 +50,14 @@ STOP_S = 5.0
 
 WATCH_S = 0.5
 """Interval in which a worker checks whether its run was canceled [s]."""
+
+AHEAD = 1000
+"""Maximum number of unfinished runs in the memory of the scheduler. Further runs wait in this
+process, as objects."""
+
+RUN = "__import__('plate_bringup.cluster', fromlist=['_']).run_on_worker(call)"
+"""Expression that a worker evaluates. The scheduler imports the module of a function that it
+receives. It receives this text instead, so that it needs only Dask."""
 
 
 class Cluster(Executor):
@@ -78,7 +89,9 @@ class Cluster(Executor):
     ------
     PlateError
         If Dask is missing, if the scheduler does not answer or has another version, or if all
-        workers are refused, because their versions or code differ from this process.
+        workers are refused, because their versions or code differ from this process. A run raises a
+        PlateError if the connection is lost for more than `RETURN_S`, if Dask cannot execute the
+        run, or if its result cannot be read here.
     """
 
     def __init__(
@@ -90,7 +103,7 @@ class Cluster(Executor):
         report: Callable[[str], None] = lambda text: print(text, file=sys.stderr, flush=True),
     ) -> None:
         self._address, self._report = address, report
-        self._client = _connect(address)
+        self._client, self._room = _connect(address), asyncio.Semaphore(AHEAD)
         if bench:
             _make_bench_importable()
         terms = bench, tuple(modules), agent
@@ -98,11 +111,12 @@ class Cluster(Executor):
         # The scheduler sends runs only to workers with this resource. Each accepted worker has one
         # unit of the resource, so it executes one run at a time.
         self._key = f"plate-{hashlib.sha256(repr(self._terms).encode()).hexdigest()[:16]}"
-        self._calls: dict[Future[Any], bytes] = {}
+        self._calls: dict[Future[Any], tuple[Any, ...]] = {}
         self._sent: dict[Future[Any], Any] = {}
         self._refusals: dict[str, str] = {}
+        self._paused: set[str] = set()
         self._lock = threading.Lock()  # held while a run is submitted, or the client is replaced
-        self._ending, self._failed, self._waits = threading.Event(), False, False
+        self._ending, self._failed, self._waits = threading.Event(), "", False
         try:
             self._await_workers()
         except BaseException:
@@ -114,17 +128,11 @@ class Cluster(Executor):
         """Submit a run, as `concurrent.futures.Executor` describes. A run that has begun can also
         be canceled."""
         result: Future[Any] = Future()
-        # Run and result are sent as bytes. If they were sent as objects, the scheduler would decode
-        # the arguments, but it cannot import the modules of `bench`. If a result could not be
-        # encoded or decoded, Dask would report no error.
-        from distributed.protocol.pickle import dumps
-
-        call = dumps((fn, args, kwargs))
         with self._lock:
             if self._ending.is_set():
                 raise RuntimeError("a run was submitted after shutdown")
-            self._calls[result] = call
-            self._client.loop.add_callback(self._execute, self._client, result)
+            self._calls[result] = fn, args, kwargs
+            self._begin(result)
             failed = self._failed
         result.add_done_callback(self._remove_run)
         if failed:
@@ -141,24 +149,43 @@ class Cluster(Executor):
         with self._lock:
             _close(self._client)
 
-    async def _execute(self, client: Any, result: Future[Any]) -> None:
+    def _begin(self, result: Future[Any]) -> None:
+        self._client.loop.add_callback(self._execute, self._client, self._room, result)
+
+    async def _execute(self, client: Any, room: asyncio.Semaphore, result: Future[Any]) -> None:
         """Send a run to the scheduler, and pass its result or exception to the caller.
 
         If the connection is lost, this method ends without a result. Dask's own executor is not
         used: if the connection is lost during the transfer of a result, its future never ends.
         """
-        while (call := self._calls.get(result)) is not None and client.status == "running":
-            run = client.submit(_run_on_worker, call, pure=False, resources={self._key: 1})
-            self._sent[result] = run
-            if result.done():  # canceled by another thread in the meantime
-                self._release_run(result)
-            try:
-                encoded = await run
-            except Exception as problem:
-                if run.status == "error":
-                    _deliver(result, None, problem)
-            else:
-                _deliver(result, encoded, None)
+        from distributed.protocol.pickle import dumps
+
+        async with room:
+            while (call := self._calls.get(result)) is not None and client.status == "running":
+                try:
+                    # Run and result are sent as bytes. If they were sent as objects, the scheduler
+                    # would decode the arguments, but it cannot import their modules. If a result
+                    # could not be encoded or decoded, Dask would report no error.
+                    words = {"call": dumps(call)}
+                except Exception as problem:
+                    return _set(result, None, problem)
+                key, resources = f"run-{uuid.uuid4()}", {self._key: 1}
+                try:
+                    run = client.submit(eval, RUN, words, key=key, resources=resources)
+                except OSError:  # the connection is lost
+                    return None
+                self._sent[result] = run
+                if result.done():  # canceled by another thread in the meantime
+                    self._release_run(result)
+                try:
+                    _deliver(result, await run)
+                except BaseException as problem:
+                    if run.status == "error":
+                        text = f"cluster {self._address}: Dask could not execute a run: "
+                        _set(result, None, PlateError(text + _error_text(problem)))
+                    elif not isinstance(problem, Exception):  # the client is closed
+                        raise
+        return None
 
     def _remove_run(self, result: Future[Any]) -> None:
         del self._calls[result]
@@ -175,42 +202,48 @@ class Cluster(Executor):
 
     def _fail_runs(self) -> None:
         """End all runs, because the connection is closed."""
-        text = f"cluster {self._address}: no connection to the scheduler for {RETURN_S:g} s"
         for result in list(self._calls):
-            with suppress(InvalidStateError):
-                result.set_exception(PlateError(text))
+            _set(result, None, PlateError(self._failed))
 
     def _watch(self) -> None:
         """Check each new worker. If the connection is lost, connect again."""
         while not self._ending.wait(POLL_S):
-            if self._client.status == "running" and not self._client._handle_report_task.done():
-                with suppress(Exception):  # the connection is lost
-                    self._check_new_workers()
-            elif not self._connect_again():
-                return
+            try:
+                self._check_new_workers()
+            except PlateError:
+                if self._ending.is_set() or not self._connect_again():
+                    return
 
     def _connect_again(self) -> bool:
         """Replace the client, and send all unfinished runs again. Return False if the scheduler
         does not answer within `RETURN_S`, or during `shutdown`."""
-        self._report(f"cluster {self._address}: connection lost; trying for {RETURN_S:g} s")
+        self._tell(f"cluster {self._address}: connection lost; trying for {RETURN_S:g} s")
         _close(self._client)
-        end = time.monotonic() + RETURN_S
+        end, reason = time.monotonic() + RETURN_S, ""
         while time.monotonic() < end and not self._ending.wait(POLL_S):
-            with suppress(Exception):
+            try:
                 client = _connect(self._address)
-                with self._lock:
-                    if self._ending.is_set():
-                        _close(client)
-                        return False
-                    self._client, self._refusals = client, {}
-                    for result in list(self._calls):
-                        client.loop.add_callback(self._execute, client, result)
-                self._report(f"cluster {self._address}: connected again")
-                return True
+            except PlateError as problem:
+                reason = f"; {problem}"
+                continue
+            with self._lock:
+                if self._ending.is_set():
+                    _close(client)
+                    return False
+                self._client, self._room = client, asyncio.Semaphore(AHEAD)
+                self._refusals = {}
+                for result in list(self._calls):
+                    self._begin(result)
+            self._tell(f"cluster {self._address}: connected again")
+            return True
         with self._lock:
-            self._failed = True
+            self._failed = f"cluster {self._address}: no connection for {RETURN_S:g} s{reason}"
         self._fail_runs()
         return False
+
+    def _tell(self, text: str) -> None:
+        with suppress(OSError, ValueError):  # for example if the standard error is closed
+            self._report(text)
 
     def _await_workers(self) -> None:
         """Wait until the first worker is accepted, for at most `FIRST_S`.
@@ -218,7 +251,7 @@ class Cluster(Executor):
         Raises
         ------
         PlateError
-            If all workers are refused.
+            If all workers are refused, or the connection is lost.
         """
         for _ in range(int(FIRST_S / POLL_S)):
             count, accepted = self._check_new_workers()
@@ -227,36 +260,59 @@ class Cluster(Executor):
             if self._waits:
                 raise PlateError(f"cluster {self._address}: all {count} workers are refused")
             self._ending.wait(POLL_S)
-        self._report(f"waiting for workers; their comparison takes more than {FIRST_S:g} s")
+        self._tell(f"waiting for workers; their comparison takes more than {FIRST_S:g} s")
 
     def _check_new_workers(self) -> tuple[int, int]:
-        """Start the check of each new worker. If all workers are refused or there is no worker,
-        report this. Return the number of workers, and the number of accepted workers."""
-        workers = self._scheduler_info()["workers"]
+        """Start the check of each new worker. Report if all workers are refused, if there is no
+        worker, or if a worker is paused. Return the number of workers, and the number of accepted
+        workers.
+
+        Raises
+        ------
+        PlateError
+            If the connection is lost.
+        """
+        client, workers = self._client, self._scheduler_info()["workers"]
         accepted = {name for name, worker in workers.items() if self._key in worker["resources"]}
         for name in set(self._refusals) - set(workers):
             self._refusals.pop(name, None)
         for name in set(workers) - set(self._refusals) - accepted:
             self._refusals[name] = ""
-            threading.Thread(target=self._check_worker, args=(name,), daemon=True).start()
+            client.loop.add_callback(self._check_worker, client, name)
+        paused = {name for name in accepted if workers[name]["status"] == "paused"}
+        for name in paused - self._paused:
+            self._tell(f"worker {name} receives no runs until it has more free memory")
+        self._paused = paused
         if self._waits != (waits := not accepted and all(self._refusals.values())):
             self._waits = waits
             if waits:
                 refused = f"; all {len(workers)} are refused" if workers else ""
-                self._report(f"waiting for workers{refused}")
+                self._tell(f"waiting for workers{refused}")
         return len(workers), len(accepted)
 
     def _scheduler_info(self) -> Any:
         """Return information about the scheduler and its workers. `Client.scheduler_info` is not
-        used, because it sometimes lists no workers: a periodic query of Dask replaces its
-        result."""
-        return self._client.sync(self._client.scheduler.identity, n_workers=-1)
+        used, because it sometimes lists no workers: a periodic query of Dask replaces its result.
 
-    def _check_worker(self, name: str) -> None:
+        Raises
+        ------
+        PlateError
+            If the connection is lost, or if the scheduler does not answer within `RETURN_S`.
+        """
+        client, reason = self._client, "it is closed"
+        if client.status == "running" and not client._handle_report_task.done():
+            try:
+                query = client.scheduler.identity
+                return client.sync(query, n_workers=-1, callback_timeout=RETURN_S)
+            except Exception as problem:
+                reason = _error_text(problem)
+        raise PlateError(f"cluster {self._address}: the connection is lost ({reason})")
+
+    async def _check_worker(self, client: Any, name: str) -> None:
         """Compare a worker with this process, and then accept or refuse it."""
         try:
             call = (_compare_and_admit, self._key, *self._terms)
-            found = self._client.run(*call, workers=[name], on_error="return")[name]
+            found = (await client.run(*call, workers=[name], on_error="return"))[name]
         except Exception as problem:  # the worker or the scheduler is lost
             found = OSError(problem)
         if isinstance(found, OSError):
@@ -266,7 +322,7 @@ class Cluster(Executor):
             found = [_error_text(found)]
         if found:
             self._refusals[name] = "; ".join(found)
-            self._report(f"worker {name} is refused: {self._refusals[name]}")
+            self._tell(f"worker {name} is refused: {self._refusals[name]}")
 
 
 def _connect(address: str) -> Any:
@@ -285,27 +341,29 @@ def _connect(address: str) -> Any:
         ) from problem
     try:
         kind, scheduler_version = _query_within_limit(address)
+        if kind != "Scheduler":
+            raise PlateError(
+                f"cluster is {address!r}, which is the address of a {kind}, allowed: the address "
+                "that `dask scheduler` prints"
+            )
+        if scheduler_version != distributed.__version__:
+            raise PlateError(
+                f"cluster {address}: the scheduler's package `distributed` has version "
+                f"{scheduler_version}, allowed: {distributed.__version__} (the version on this "
+                "computer)"
+            )
+        with warnings.catch_warnings():
+            # Suppress Dask's warning of different versions, because other code refuses different
+            # versions.
+            warnings.simplefilter("ignore")
+            client: Any = distributed.Client(address, timeout=RETURN_S, set_as_default=False)
+    except PlateError:
+        raise
     except Exception as problem:
         raise PlateError(
             f"cluster is {address!r}, where no Dask scheduler answers ({_error_text(problem)}), "
             "allowed: the address that `dask scheduler` prints"
         ) from problem
-    if kind != "Scheduler":
-        raise PlateError(
-            f"cluster is {address!r}, which is the address of a {kind}, allowed: the address that "
-            "`dask scheduler` prints"
-        )
-    if scheduler_version != distributed.__version__:
-        raise PlateError(
-            f"cluster {address}: the scheduler's package `distributed` has version "
-            f"{scheduler_version}, allowed: {distributed.__version__} (the version on this "
-            "computer)"
-        )
-    with warnings.catch_warnings():
-        # Suppress Dask's warning of different versions, because other code refuses different
-        # versions.
-        warnings.simplefilter("ignore")
-        client: Any = distributed.Client(address, timeout=RETURN_S, set_as_default=False)
     # Dask's client sometimes does not connect again. Then it stays in this state forever. Therefore
     # it closes if its connection is lost, and `Cluster` replaces it.
     client._reconnect = client._close
@@ -366,18 +424,24 @@ async def _query_server(address: str) -> tuple[str, str]:
     return about["type"], versions["packages"]["distributed"]
 
 
-def _deliver(result: Future[Any], encoded: bytes | None, problem: Exception | None) -> None:
-    """Set the result of a run from its bytes, or its exception. If the caller has canceled the run
-    in the meantime, do nothing."""
-    value = None
-    if type(problem).__name__ == "KilledWorker":
-        problem = PlateError(f"several workers died while they ran the same job: {problem}")
-    if encoded is not None:
-        try:
-            value = pickle.loads(encoded)
-        except Exception as unread:
-            text = _error_text(unread)
-            problem = PlateError(f"the result of a run cannot be read here: {text}")
+def _deliver(result: Future[Any], outcome: tuple[bytes, str]) -> None:
+    """Pass the outcome of a run, as `run_on_worker` returns it, to the caller."""
+    value = problem = None
+    try:
+        encoded, error = outcome
+        value = pickle.loads(encoded)
+    except BaseException as unread:
+        text = f"the result of a run cannot be read here: {_error_text(unread)}"
+        problem = PlateError(f"{text}; the run has raised {error}" if error else text)
+    else:
+        if error:
+            value, problem = None, value
+    _set(result, value, problem)
+
+
+def _set(result: Future[Any], value: Any, problem: BaseException | None) -> None:
+    """Set the result or the exception of a run. If the caller has canceled the run in the meantime,
+    do nothing."""
     with suppress(InvalidStateError):
         if problem is None:
             result.set_result(value)
@@ -386,7 +450,7 @@ def _deliver(result: Future[Any], encoded: bytes | None, problem: Exception | No
 
 
 def _error_text(problem: BaseException) -> str:
-    return " ".join(f"{type(problem).__name__}: {problem}".split()).removesuffix(":")
+    return " ".join("".join(traceback.format_exception_only(problem)).split())
 
 
 # Functions that run on the workers
@@ -396,10 +460,14 @@ class _Stopped(BaseException):
     """Exception that ends a run on a worker."""
 
 
-def _run_on_worker(call: bytes) -> bytes:
-    """Run a function on a worker, and return its result as bytes. If Dask cancels the run, raise a
-    `_Stopped` in it. Dask cancels a run if the process that has submitted it cancels it, ends, or
-    loses its connection."""
+def run_on_worker(call: bytes) -> tuple[bytes, str]:
+    """Run a function on a worker. Return its encoded result and an empty text, or its encoded
+    exception and the text of this exception. The exception is not raised, because Dask uses some
+    exceptions itself, such as a CancelledError or a `distributed.Reschedule`.
+
+    If Dask cancels the run, raise a `_Stopped` in it. Dask cancels a run if the process that has
+    submitted it cancels it, ends, or loses its connection.
+    """
     from distributed import get_worker
     from distributed.protocol.pickle import dumps
 
@@ -420,16 +488,26 @@ def _run_on_worker(call: bytes) -> bytes:
                 ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), stopped)
 
     threading.Thread(target=watch, daemon=True).start()
+    error: BaseException
     try:
         function, args, kwargs = pickle.loads(call)
-        return dumps(function(*args, **kwargs))
-    except (SystemExit, KeyboardInterrupt) as problem:  # Dask would end the worker
-        raise PlateError(f"a run has raised {_error_text(problem)}") from problem
+        return dumps(function(*args, **kwargs)), ""
+    except _Stopped:
+        raise
+    except Exception as problem:
+        error = problem
+    except BaseException as problem:
+        error = PlateError(f"a run has raised {_error_text(problem)}")
     finally:
         with lock:
             # Python raises the exception of `watch` after this call at the latest. It is not raised
             # in the code of Dask.
             ended.set()
+    text = _error_text(error)
+    try:
+        return dumps(error), text
+    except Exception:
+        return dumps(PlateError(f"a run has raised {text}")), text
 
 
 _FACTS = threading.Lock()
@@ -455,7 +533,10 @@ async def _compare_and_admit(
     differences."""
     if terms[0]:
         _make_bench_importable()
-    found = differences(expected, await asyncio.to_thread(_facts_alone, *terms))
+    try:
+        found = differences(expected, await asyncio.to_thread(_facts_alone, *terms))
+    except Exception as problem:
+        return [_error_text(problem)]
     if not found and key not in dask_worker.state.total_resources:
         try:
             await dask_worker.set_resources(**{key: 1})
