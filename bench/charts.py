@@ -62,7 +62,7 @@ def main() -> int:
             print(dirty, file=sys.stderr)
             return 1
         try:
-            with on_cluster(args.cluster):
+            with on_cluster(args.cluster if lacking else ""):
                 failed = run_all(lacking, args.quick, folder, when_idle=published)
         except PlateError as error:
             print(f"error: {error}", file=sys.stderr)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import hashlib
+import signal
 import sys
 from collections.abc import Iterator
 from concurrent.futures import Executor
@@ -63,9 +64,12 @@ def main() -> int:
                 print(f"{already_run} of these runs are already in {args.json}", flush=True)
             for warning in planner.warnings():
                 print(f"warning: {warning}", flush=True)
-            for row in _run_all(workers, work):
-                rows.add({**row, "scenario": args.scenario})
-                print(_row_text(row), flush=True)
+            try:
+                for row in _run_all(workers, work):
+                    rows.add({**row, "scenario": args.scenario})
+                    print(_row_text(row), flush=True)
+            finally:
+                rows.write()  # before the wait for the end of the workers
     except BrokenPipeError:
         raise
     except (PlateError, OSError) as error:
@@ -233,4 +237,5 @@ def _parse_arguments() -> argparse.Namespace:
 
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # the same as Ctrl-C
     sys.exit(main())

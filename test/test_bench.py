@@ -70,6 +70,20 @@ def without_timings(rows):
     return [{key: row[key] for key in row if key not in TIMINGS} for row in rows]
 
 
+def test_a_terminated_command_has_written_the_rows_that_it_has_printed(tmp_path):
+    (tmp_path / "tiny.yaml").write_text(yaml.safe_dump(TINY), encoding="utf-8")
+    words = [sys.executable, str(BENCH / "closed_loop.py"), "--scenario", "tiny.yaml"]
+    words += ["--seeds", "0:1000", "--json", "rows.json"]
+    with subprocess.Popen(words, cwd=tmp_path, stdout=subprocess.PIPE, text=True) as process:
+        printed = [process.stdout.readline() for _ in range(3)]
+        process.terminate()
+        printed += process.stdout
+        assert process.wait(100) == 130
+    seeds = [row["seed"] for row in json.loads((tmp_path / "rows.json").read_text())]
+    assert seeds == list(range(len(seeds)))
+    assert len(seeds) >= sum(line.startswith("seed") for line in printed) >= 2
+
+
 def test_closed_loop_writes_a_row_for_each_run(runs):
     assert [row["seed"] for row in runs[0]] == [3, 4]
     for row in runs[0]:

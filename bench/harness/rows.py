@@ -55,14 +55,14 @@ class Rows:
     ) -> None:
         if self._file is not None:
             with self._file:
-                self._write()
+                self.write()
 
     def add(self, row: dict[str, Any]) -> None:
         """Add the row of a run."""
         self.by_seed[row["seed"]] = {**row, **self._marks}
         self._new += 1
         if time.monotonic() - self._written > WRITE_S:
-            self._write()
+            self.write()
 
     def _read(self, path: Path) -> list[dict[str, Any]]:
         other = "allowed: a new file, or a result of this command"
@@ -91,7 +91,8 @@ class Rows:
                 )
         return rows
 
-    def _write(self) -> None:
+    def write(self) -> None:
+        """Write the new rows to the file now."""
         if self._file is None or not self._new:
             return
         rows = [self.by_seed[seed] for seed in sorted(self.by_seed)]

@@ -12,7 +12,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Executor, ThreadPoolExecutor, wait
+from concurrent.futures import Executor, ThreadPoolExecutor, as_completed, wait
 from contextlib import nullcontext
 from dataclasses import asdict
 from functools import partial
@@ -109,18 +109,11 @@ def evaluate(
         `done` must be a result of the same code, files, agent, world, limits and type of computer.
     """
     result = begun(agent, world, limits, done)
-    tasks = [tasks] if isinstance(tasks, str) else list(dict.fromkeys(tasks))
-    for task in tasks:
-        chosen("task", task, TASKS)
-    seeds = [operator.index(seed) for seed in seeds]
-    if not seeds or min(seeds) < 0 or len(set(seeds)) < len(seeds):
-        raise PlateError(f"seeds are {seeds}, allowed: one or more different numbers, 0 or larger")
-    for task in tasks:
-        rows = {row["seed"]: row for row in result["tasks"].get(task, {"rows": []})["rows"]}
-        missing = [seed for seed in seeds if seed not in rows]
+    for task, seeds_left in missing(result, tasks, seeds).items():
+        rows = {row["seed"]: row for row in rows_of(result, task)}
         kept = time.monotonic()
         try:
-            for row in episodes(agent, world, task, missing, workers, report, limits, pool):
+            for row in episodes(agent, world, task, seeds_left, workers, report, limits, pool):
                 rows[row["seed"]] = row
                 if time.monotonic() - kept > KEEP_S:
                     result["tasks"][task] = summary([rows[seed] for seed in sorted(rows)])
@@ -166,6 +159,34 @@ def begun(agent: str, world: str, limits: Limits, done: dict[str, Any] | None) -
     return result
 
 
+def missing(
+    result: dict[str, Any], tasks: Iterable[str], seeds: Iterable[int]
+) -> dict[str, list[int]]:
+    """Return the seeds of each task that have no row in a result. The arguments are those of
+    `evaluate`.
+
+    Raises
+    ------
+    PlateError
+        If a task is unknown, or a seed is not allowed.
+    """
+    tasks = [tasks] if isinstance(tasks, str) else list(dict.fromkeys(tasks))
+    for task in tasks:
+        chosen("task", task, TASKS)
+    seeds = [operator.index(seed) for seed in seeds]
+    if not seeds or min(seeds) < 0 or len(set(seeds)) < len(seeds):
+        raise PlateError(f"seeds are {seeds}, allowed: one or more different numbers, 0 or larger")
+    done = {task: {row["seed"] for row in rows_of(result, task)} for task in tasks}
+    return {task: [seed for seed in seeds if seed not in done[task]] for task in tasks}
+
+
+def rows_of(result: dict[str, Any], task: str) -> list[dict[str, Any]]:
+    """Return the rows of a task in a result. If the result does not contain the task, there are no
+    rows."""
+    rows: list[dict[str, Any]] = result["tasks"].get(task, {"rows": []})["rows"]
+    return rows
+
+
 def episodes(
     agent: str,
     world: str,
@@ -176,9 +197,9 @@ def episodes(
     limits: Limits = LIMITS,
     pool: Executor | None = None,
 ) -> Iterator[dict[str, Any]]:
-    """Run episodes, and yield their rows in the order of the seeds. The executor `pool` runs the
-    episodes, if it is given. Otherwise, `workers` episodes run at the same time. Failed episodes
-    are reported."""
+    """Run episodes, and yield each row as soon as its episode has ended. The executor `pool` runs
+    the episodes, if it is given. Otherwise, `workers` episodes run at the same time. Failed
+    episodes are reported."""
     if pool is None and not workers:
         yield from map(partial(episode, agent, world, task), seeds)
         return
@@ -187,9 +208,10 @@ def episodes(
     with shared as threads:
         found = [threads.submit(isolated, agent, world, task, seed, limits) for seed in seeds]
         try:
-            for number, row in enumerate(found):
+            show(f"{task}: 0 of {len(seeds)}")
+            for number, future in enumerate(as_completed(found), 1):
+                done = future.result()
                 show(f"{task}: {number} of {len(seeds)}")
-                done = row.result()
                 if failure := done.get("failure"):
                     show("")
                     report(f"failed: {named(agent, task, done['seed'], done['steps'])}: {failure}")
@@ -271,7 +293,7 @@ def check(
     if len(differences) > MAX_OTHER:
         report(f"{len(differences) - MAX_OTHER} more differences of versions and files")
     # The seeds that are repeated must be unpredictable, so the generator has no fixed seed.
-    wrong, rng = [], np.random.default_rng()
+    wrong, rng, by_seed = [], np.random.default_rng(), operator.itemgetter("seed")
     for task, claimed in result["tasks"].items():
         rows = {row["seed"]: row for row in claimed["rows"]}
         report(f"{task}: the result has seeds {shortened(ranges(sorted(rows)))}")
@@ -280,7 +302,7 @@ def check(
             wrong.append(f"{task}: the summary does not match its rows")
         run = partial(episodes, agent, task=task, workers=workers, report=report, limits=limits)
         picks = sorted(rng.permutation(np.array(list(rows), object))[:CHECKED].tolist())
-        played = list(run(world=result["world"], seeds=picks))
+        played = sorted(run(world=result["world"], seeds=picks), key=by_seed)
         for seed, true in zip(picks, played, strict=True):
             wrong += [
                 f"{task}, seed {seed}: {key} is {rows[seed].get(key)!r} in the result, {value!r} "
@@ -294,7 +316,7 @@ def check(
         )
         if fresh:
             seeds = [drawn(rng) for _ in range(fresh)]
-            found = summary(list(run(world=world, seeds=seeds)))
+            found = summary(sorted(run(world=world, seeds=seeds), key=by_seed))
             report(f"{line(task, found)}, {world}, fresh seeds {ranges(sorted(seeds))}")
             low, high = found["success_interval"]
             low_again, high_again = recomputed["success_interval"]
@@ -451,15 +473,16 @@ def evaluate_into_file(args: argparse.Namespace, limits: Limits) -> None:
                 file.write(json.dumps(result, indent=1) + "\n")
 
         # check the arguments before the program waits for the cluster
-        begun(agent, world, limits, done)
+        tasks, seeds = args.task or list(TASKS), args.seeds or range(100)
+        needed = missing(begun(agent, world, limits, done), tasks, seeds)
         pool: Any = nullcontext()
-        if args.cluster:
+        if args.cluster and any(needed.values()):
             other = module_of(agent) if ":" in agent else ""
             pool = Cluster(args.cluster, modules=("plate_gym",), agent=other)
         with pool as shared:
             evaluate(
-                agent, args.task or list(TASKS), args.seeds or range(100), world, args.workers,
-                partial(print, flush=True), keep, limits, shared, done,
+                agent, tasks, seeds, world, args.workers, partial(print, flush=True), keep, limits,
+                shared, done,
             )  # fmt: skip
 
 

@@ -7,9 +7,12 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
+from concurrent.futures import Future
 from functools import partial
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -531,6 +534,36 @@ def test_a_file_that_cannot_be_continued_is_refused_before_the_cluster(
     monkeypatch.setattr(bench, "Cluster", None)
     assert bench.main() == 2
     assert "error: result has [], allowed: agent, " in capsys.readouterr().err
+
+
+def test_the_cluster_is_awaited_only_for_missing_episodes_of_known_tasks(
+    bench, result, monkeypatch, tmp_path, capsys
+):
+    place = tmp_path / "found.json"
+    place.write_text(json.dumps(result), encoding="utf-8")
+    monkeypatch.setattr(bench, "Cluster", None)
+    seeds = [str(row["seed"]) for row in result["tasks"]["Sort4-v1"]["rows"]]
+    words = ["bench", "--cluster", "tcp://x:1", "--json", str(place), "--agent", result["agent"]]
+    for task, code in (("Sort4-v1", 0), ("Sort3-v1", 2)):
+        monkeypatch.setattr(sys, "argv", [*words, "--seeds", seeds[0], "--task", task])
+        assert bench.main() == code
+    assert "task is 'Sort3-v1'" in capsys.readouterr().err
+
+
+def test_a_slow_episode_delays_no_other_row(bench, result):
+    row, futures = result["tasks"]["Sort4-v1"]["rows"][0], [Future(), Future()]
+    pool = Mock(submit=Mock(side_effect=futures))
+    futures[1].set_result(row | {"seed": 1})
+    rows = bench.episodes("A", "nominal", "Sort4-v1", [0, 1], 0, pool=pool)
+    found = []
+    thread = threading.Thread(target=lambda: found.extend(row["seed"] for row in rows), daemon=True)
+    thread.start()
+    end = time.monotonic() + 60
+    while not found and time.monotonic() < end:
+        time.sleep(0.01)
+    futures[0].set_result(row | {"seed": 0})
+    thread.join(60)
+    assert found == [1, 0]
 
 
 def test_two_calls_at_once_do_not_write_one_file(bench, result, monkeypatch, tmp_path, capsys):
