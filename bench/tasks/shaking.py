@@ -167,7 +167,7 @@ class Shaker:
                 self.parts = observe(self._vision, Tracker(), image, stamp, None).parts
                 self.listed = self._grippable_parts()
             # rest while ready parts remain for the robot
-            while self.listed or self.robot.place is not None:
+            while self.listed or self.robot.pose is not None:
                 yield self._rest
 
     def _grippable_parts(self) -> list[tuple[float, float, float]]:
@@ -233,11 +233,11 @@ class Shaker:
             if act is Act.LEAVE:
                 self.simulation.move_robot(Move.AWAY)
                 self._in_view = False
-            elif act is Act.COME and before.place is not None:
-                self.simulation.move_robot(Move.OVER, *before.place)
+            elif act is Act.COME and before.pose is not None:
+                self.simulation.move_robot(Move.OVER, *before.pose)
                 self._in_view = True
-            elif act is Act.GRIP and before.place is not None:
-                result = self.simulation.move_robot(Move.GRIP, *before.place)
+            elif act is Act.GRIP and before.pose is not None:
+                result = self.simulation.move_robot(Move.GRIP, *before.pose)
                 self.tally.gripped(before, result)
                 self.listed = self.listed[1:]
 

@@ -146,10 +146,10 @@ class Robot:
             elif act is Act.LEAVE:
                 self._move(MoveRobot.Request.AWAY)
                 self._execute(f"part_taken {name} {'ok' if self.grips[-1].taken else 'failed'}")
-            elif act is Act.COME and before.place is not None:
-                self._move(MoveRobot.Request.OVER, *before.place)
-            elif act is Act.GRIP and before.place is not None:
-                done = self._move(MoveRobot.Request.GRIP, *before.place)
+            elif act is Act.COME and before.pose is not None:
+                self._move(MoveRobot.Request.OVER, *before.pose)
+            elif act is Act.GRIP and before.pose is not None:
+                done = self._move(MoveRobot.Request.GRIP, *before.pose)
                 picks -= done.success
                 waited_s, cycle_s = before.waited(before.due), before.due - before.since
                 self.grips.append(

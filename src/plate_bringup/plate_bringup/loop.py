@@ -709,8 +709,8 @@ def _true_errors(
         return missing[0], np.abs(missing[1])
     if isinstance(task, MoveTask):
         true_parts = _nearest_true_parts(parts, tuple(target.id for target in task.targets), world)
-        place = {target.id: target.place for target in task.targets}
-        goal = np.array([place[name] for name in true_parts.ids]).reshape(-1, 2)
+        position = {target.id: target.place for target in task.targets}
+        goal = np.array([position[name] for name in true_parts.ids]).reshape(-1, 2)
         return np.hypot(*(true_parts.position - goal).T), empty
     # Before the reference paths of a follow task start, there are no errors.
     if not isinstance(task, FollowTask) or state.memory.leading:
@@ -730,7 +730,7 @@ def _nearest_true_parts(parts: Parts, names: tuple[str, ...], world: WorldState)
     parts have the ids of the detected parts."""
     ids = [name for name in names if name in parts.ids]
     seen = parts.position[[parts.ids.index(name) for name in ids]]
-    rows = [int(np.argmin(np.sum((world.position - place) ** 2, axis=1))) for place in seen]
+    rows = [int(np.argmin(np.sum((world.position - position) ** 2, axis=1))) for position in seen]
     return Parts.make(tuple(ids), world.position[rows], angle=world.angle[rows])
 
 

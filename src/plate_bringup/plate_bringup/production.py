@@ -86,7 +86,7 @@ class Robot:
     since : float
         Time of the last grip [s].
     next : Act
-    place : (x, y, angle) or None
+    pose : (x, y, angle) or None
         Pose of the next grip [m, m, rad, plate_home]. None until the feeder has replied.
     answered : float
         Time of the reply that contains the pose of the next grip [s].
@@ -97,7 +97,7 @@ class Robot:
     cycle_s: float
     since: float
     next: Act = Act.LEAVE
-    place: tuple[float, float, float] | None = None
+    pose: tuple[float, float, float] | None = None
     answered: float = -np.inf
     refused: float = -np.inf
 
@@ -106,12 +106,12 @@ class Robot:
         """Return a robot that requests its first part at time 0."""
         return cls(cycle_s, -REQUESTS * cycle_s, Act.REQUEST)
 
-    def after_reply(self, place: tuple[float, float, float] | None, now: float) -> Robot:
-        """Return the robot after it has received a reply at the time `now` [s]. `place` is the pose
+    def after_reply(self, pose: tuple[float, float, float] | None, now: float) -> Robot:
+        """Return the robot after it has received a reply at the time `now` [s]. `pose` is the pose
         of the part [m, m, rad, plate_home], or None if the reply contains no part."""
-        if place is None:
+        if pose is None:
             return replace(self, next=Act.REQUEST, refused=now)
-        return replace(self, place=place, answered=now)
+        return replace(self, pose=pose, answered=now)
 
     @property
     def due(self) -> float:
@@ -120,7 +120,7 @@ class Robot:
             return self.since + LEAVES * self.cycle_s
         if self.next is Act.REQUEST:
             return max(self.since + REQUESTS * self.cycle_s, self.refused + AGAIN * self.cycle_s)
-        if self.place is None:
+        if self.pose is None:
             return np.inf
         comes = max(self.since + COMES * self.cycle_s, self.answered)
         return comes if self.next is Act.COME else comes + (1 - COMES) * self.cycle_s
@@ -138,7 +138,7 @@ class Robot:
 
     def waited(self, now: float) -> float:
         """Return how long the robot has waited for its next part until `now` [s]."""
-        until = now if self.place is None else self.answered
+        until = now if self.pose is None else self.answered
         return max(0.0, until - self.since - COMES * self.cycle_s)
 
 
@@ -294,10 +294,10 @@ class FeederCell:
             elif act is Act.LEAVE:
                 simulation.move_robot(Move.AWAY)
                 self.feeder.part_taken(CLIENT, self._id, self._has)
-            elif act is Act.COME and before.place is not None:
-                simulation.move_robot(Move.OVER, *before.place)
-            elif before.place is not None:
-                result = simulation.move_robot(Move.GRIP, *before.place)
+            elif act is Act.COME and before.pose is not None:
+                simulation.move_robot(Move.OVER, *before.pose)
+            elif before.pose is not None:
+                result = simulation.move_robot(Move.GRIP, *before.pose)
                 self.tally.gripped(before, result)
                 self._has = result.success
 

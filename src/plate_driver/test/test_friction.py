@@ -175,7 +175,7 @@ def test_parts_that_still_move_are_no_rest():
     images = [Parts.make(("black_1",), np.array([[0.001 * k, 0.0]])) for k in range(4)]
     assert Rest.of(images) is None
     lost = [images[0], Parts.make((), np.zeros((0, 2)))]
-    assert not Rest.of(lost).place
+    assert not Rest.of(lost).position
 
 
 def test_parts_that_are_lost_from_sight_end_it():

@@ -138,9 +138,9 @@ class Averaged(Ours):
         types = [self._rig.part_type(part_class(name)) for name in parts.ids]
         mu_mass = np.array([[part_type.mu, part_type.mass_kg] for part_type in types], float)
         limit = np.prod(mu_mass, axis=1, keepdims=True) * self._rig.friction.gravity
-        place = parts.position if request.start is None else request.start[:, :2]
+        position = parts.position if request.start is None else request.start[:, :2]
         force, tolerance = request.forces.force / limit, request.forces.tolerance / limit
-        return self._solver.solve(place, force, tolerance=tolerance).cycle
+        return self._solver.solve(position, force, tolerance=tolerance).cycle
 
 
 AGENTS: dict[str, type[Agent]] = {

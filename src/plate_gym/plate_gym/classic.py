@@ -66,12 +66,12 @@ class Classic:
     def act(self, observation: np.ndarray, info: dict[str, Any]) -> PlateCycle:
         """Return a cycle of rotations that exert the mean forces that the PD controller requests.
         Each rotation is followed by its return stroke."""
-        place = observation[:, :2]
+        position = observation[:, :2]
         force = (self._drift(observation) - observation[:, 2:4]) / self._push
-        matrix = self._library.forces(place)
+        matrix = self._library.forces(position)
         weight, _ = solve_weights(matrix, force.T.ravel(), MAX_GAIN)
         fraction = np.abs(weight) * (RETURN + 1) / (RETURN - 1)
-        nearest = self._library.clearance(place)
+        nearest = self._library.clearance(position)
         # The rotations are ordered as in section 3.1.4 of the original publication.
         order = np.argsort(-fraction / nearest, kind="stable")
         out = np.sign(weight)[order, None] * self._library.twist[order] / RETURN
@@ -88,15 +88,15 @@ class Classic:
 
     def _drift(self, seen: np.ndarray) -> np.ndarray:
         """Return the requested drift of each part (M, 2) [m/s]."""
-        place, feed = seen[:, :2], np.zeros(2)
+        position, feed = seen[:, :2], np.zeros(2)
         if isinstance(self._task, FollowTask):
             goal, feed = seen[:, 6:8], (seen[:, 8:10] - seen[:, 6:8]) / AHEAD_S
         elif isinstance(self._task, AssembleTask):
             if self._goal is None:
                 places = np.array(self._task.place)
-                row = assign(self._task.labels, places, Parts.make(self._ids, place))
+                row = assign(self._task.labels, places, Parts.make(self._ids, position))
                 self._goal = places[row]
             goal = self._goal
         else:
-            goal = np.where(self._side == 0, place, self._side * GOAL * self._half)
-        return feed + np.clip(GAIN * (goal - place), -FASTEST_MPS, FASTEST_MPS)
+            goal = np.where(self._side == 0, position, self._side * GOAL * self._half)
+        return feed + np.clip(GAIN * (goal - position), -FASTEST_MPS, FASTEST_MPS)

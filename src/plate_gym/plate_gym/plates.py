@@ -214,14 +214,17 @@ class Plate:
         """Convert an action `progress` to a request with targets and weights. The action has the
         shape (n, 3), or (n, 5) if parts have angles."""
         rig, angle = self._shared.rig, self.seen[self._rows, 4]
-        place, weight = action[:, :2] * rig.plate.half, np.repeat(np.abs(action[:, 2:3]), 2, axis=1)
+        position = action[:, :2] * rig.plate.half
+        weight = np.repeat(np.abs(action[:, 2:3]), 2, axis=1)
         angles = None
         if action.shape[1] == 5:
             goal = angle + (np.pi * action[:, 3] - angle + np.pi) % (2 * np.pi) - np.pi
             reach = self._shared.reach_m[self._rows]
             angles = AngleTargets(goal, goal, np.abs(action[:, 4]) * reach)
         gap = GAP * rig.parts.radius_m
-        return CycleRequest.make(self._parts(), targets=Targets(place, place, weight, gap, angles))
+        return CycleRequest.make(
+            self._parts(), targets=Targets(position, position, weight, gap, angles)
+        )
 
 
 class Plates:

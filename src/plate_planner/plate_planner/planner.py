@@ -479,7 +479,7 @@ class Planner:
         self, estimator: Estimator, state: PlannerState, parts: Parts, active: bool
     ) -> Situation:
         """Collect the inputs of the task rules."""
-        period, start, place = estimator.period, estimator.next_start, estimator.bias.place
+        period, start, position = estimator.period, estimator.next_start, estimator.bias.position
         axes = self.rules.bias_axes(state.memory, parts, start - period / 2)
         return Situation(
             parts=parts,
@@ -489,8 +489,8 @@ class Planner:
             period=period,
             motion_known=estimator.log.known,
             latency_known=estimator.latency_known or not estimator.log.free_running,
-            predicted=place + period * estimator.bias.along(axes),
-            shortfall=np.hypot(*(estimator.by_request(parts) - place).T)
+            predicted=position + period * estimator.bias.along(axes),
+            shortfall=np.hypot(*(estimator.by_request(parts) - position).T)
             / (start - estimator.stamp),
             active=active,
             seen=self._on_plate(estimator.seen),
@@ -519,8 +519,10 @@ class Planner:
         start = estimator.start_of(parts)
         agreement = state.agreement
         if start is not None:
-            place = start[:, :2]
-            agreement = agreement.expecting(estimator.seen, parts.ids, place, estimator.next_start)
+            position = start[:, :2]
+            agreement = agreement.expecting(
+                estimator.seen, parts.ids, position, estimator.next_start
+            )
         estimator = estimator.with_request(parts.ids, drift, force)
         state = replace(state, estimator=estimator, agreement=agreement)
         in_time = not estimator.log.free_running or self.options.answer_s < IN_MOTION_S

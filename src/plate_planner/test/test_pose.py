@@ -26,7 +26,7 @@ def test_poses_with_a_place_go_to_the_nearest_and_the_others_stay():
     poser = Poser(task(Pose("black", None, 1.0), Pose("black", (0.1, 0.0), 0.0)), RIG)
     state = poser.begin(parts([[0.09, 0.01], [-0.1, 0.02]], [0.0, 0.0]))
     assert state.match == ("black_2", "black_1")
-    assert state.place == pytest.approx(np.array([[-0.1, 0.02], [0.1, 0.0]]))
+    assert state.position == pytest.approx(np.array([[-0.1, 0.02], [0.1, 0.0]]))
 
 
 def test_errors_take_the_short_way_round():
@@ -46,7 +46,7 @@ def test_a_part_turns_to_the_nearest_angle_at_which_it_looks_the_same():
     targets = poser.request(state, bar)
     assert np.degrees((targets.angles.low + targets.angles.high) / 2) == pytest.approx([180])
     assert np.all(targets.weight == 0)  # it may be anywhere
-    assert np.isnan(poser.begin(bar).place).all()
+    assert np.isnan(poser.begin(bar).position).all()
 
 
 @pytest.mark.parametrize("gain", [0.6, 1.0, 1.3])

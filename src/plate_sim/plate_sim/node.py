@@ -625,10 +625,10 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         self, request: PlacePart.Request, response: PlacePart.Response
     ) -> PlacePart.Response:
         """Place a part on the plate, as if by hand. The part is visible from the next image on."""
-        place = np.array([request.x, request.y])
+        position = np.array([request.x, request.y])
         self._ahead = []
         try:
-            response.id = self._simulation.place(request.id, request.type, place, request.angle)
+            response.id = self._simulation.place(request.id, request.type, position, request.angle)
         except PlateError as error:
             response.message = str(error)
             return response

@@ -171,8 +171,8 @@ class Controller:
         requests = [CycleRequest.make(rotated, torque=np.array([1e-6]))]
         for count in (2, 4, 6):
             angle = 2 * np.pi * np.arange(count) / count
-            place = 0.5 * self._rig.plate.half * np.column_stack([np.cos(angle), np.sin(angle)])
-            parts = Parts.make(tuple(f"part_{i}" for i in range(count)), place)
+            position = 0.5 * self._rig.plate.half * np.column_stack([np.cos(angle), np.sin(angle)])
+            parts = Parts.make(tuple(f"part_{i}" for i in range(count)), position)
             requests.append(CycleRequest.make(parts, 1e-4 * np.ones((count, 2))))
         for request in requests:
             for method in self._solvers:

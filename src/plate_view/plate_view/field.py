@@ -71,10 +71,10 @@ def drift(cycle: PlateCycle, point: np.ndarray, accel: float) -> np.ndarray:
     step = cycle.period / STEPS
     t = (np.arange(STEPS) + 0.5) * step
     poses, twists = cycle.pose(t), cycle.twist(t)
-    place, velocity = point.copy(), np.zeros_like(point)
+    position, velocity = point.copy(), np.zeros_like(point)
     for pose, twist in zip(poses, twists, strict=True):
-        slip = surface_velocity(pose, twist, place) - velocity
+        slip = surface_velocity(pose, twist, position) - velocity
         speed = np.hypot(slip[:, 0], slip[:, 1])[:, None]
         velocity += slip * np.minimum(1.0, accel * step / np.maximum(speed, 1e-12))
-        place += velocity * step
-    return np.asarray((place - point) / cycle.period)
+        position += velocity * step
+    return np.asarray((position - point) / cycle.period)

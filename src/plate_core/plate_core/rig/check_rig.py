@@ -134,8 +134,8 @@ def _camera_lines(rig: Rig) -> Iterator[str]:
     flat = ", ".join(name for name, part in rig.types.items() if part.height_m == 0)
     if not rig.types and rig.parts.height_m == 0:
         flat = "parts"
-    place = camera_place(rig)
-    if place is None:
+    position = camera_place(rig)
+    if position is None:
         yield (
             "camera: its position is unknown, because the section camera has neither focal_px nor "
             "height_m, and corners_px have too little perspective. Therefore a part of height h "
@@ -143,10 +143,10 @@ def _camera_lines(rig: Rig) -> Iterator[str]:
             "this point, and H is the height of the lens above the plate"
         )
         return
-    x, y, height = place
+    x, y, height = position
     yield f"camera: the lens is {height:.3g} m above the point [{x:.3f}, {y:.3f}] of the plate"
     if flat and height > EXAMPLE_M:
-        far = float(np.max(np.hypot(*(rig.plate.corners - place[:2]).T)))
+        far = float(np.max(np.hypot(*(rig.plate.corners - position[:2]).T)))
         yield (
             f"camera: height_m is 0 (flat or unknown) for {flat}. If one of them is "
             f"{1e3 * EXAMPLE_M:g} mm high, its measured position is wrong by up to "

@@ -355,10 +355,10 @@ def _check_camera(rig: Rig) -> Iterator[RigWarning]:
 def _check_heights(rig: Rig) -> Iterator[RigWarning]:
     """Check the camera's height against its lens and corners, and the parts' heights against the
     camera's height."""
-    place = camera_place(rig)
-    if place is None:
+    position = camera_place(rig)
+    if position is None:
         return
-    given, height = rig.camera.height_m, float(place[2])
+    given, height = rig.camera.height_m, float(position[2])
     lens = rig.camera.lens
     if given is not None and lens is not None and abs(given - height) > HEIGHT_ERROR * height:
         yield RigWarning(

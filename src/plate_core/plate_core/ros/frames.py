@@ -24,8 +24,8 @@ def transform_to_msg(
     from scipy.spatial.transform import Rotation
 
     msg = TransformStamped(header=Header(stamp=stamp, frame_id=FRAME), child_frame_id=child)
-    place, quaternion = msg.transform.translation, msg.transform.rotation
-    place.x, place.y, place.z = np.asarray(translation, dtype=float).tolist()
+    position, quaternion = msg.transform.translation, msg.transform.rotation
+    position.x, position.y, position.z = np.asarray(translation, dtype=float).tolist()
     quaternion.x, quaternion.y, quaternion.z, quaternion.w = (
         Rotation.from_matrix(rotation).as_quat().tolist()
     )

@@ -92,7 +92,9 @@ def forces_to_msg(rig: Rig, request: CycleRequest, stamp: Time) -> MarkerArray:
     ends = starts + FORCE_M / rig.force_unit * request.forces.force
     pairs = enumerate(zip(starts, ends, strict=True))
     return MarkerArray(
-        markers=[_make_arrow("forces", i, place, end, FORCE, stamp) for i, (place, end) in pairs]
+        markers=[
+            _make_arrow("forces", i, position, end, FORCE, stamp) for i, (position, end) in pairs
+        ]
     )
 
 

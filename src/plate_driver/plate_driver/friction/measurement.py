@@ -133,13 +133,13 @@ class Rest:
 
     Attributes
     ----------
-    place : dict of str to (2,)
+    position : dict of str to (2,)
         Mean centres in the images [m, plate_home].
     error : float
         Standard error of a coordinate [m]: the root mean square over the parts.
     """
 
-    place: Mapping[str, np.ndarray]
+    position: Mapping[str, np.ndarray]
     error: float
 
     @classmethod
@@ -169,7 +169,7 @@ class Trial:
     stage : Stage
     lag : dict of str to float
         Slip of each part in the direction opposite to the push [m].
-    place : dict of str to (2,)
+    position : dict of str to (2,)
         Mean of the positions of each part before and after the push [m].
     error : float
         Standard error of a value in `lag` [m].
@@ -180,7 +180,7 @@ class Trial:
     push: Push
     stage: Stage
     lag: Mapping[str, float]
-    place: Mapping[str, np.ndarray]
+    position: Mapping[str, np.ndarray]
     error: float
     curve: np.ndarray
 
@@ -203,7 +203,7 @@ class PartFriction:
     Attributes
     ----------
     id : str
-    place : (2,)
+    position : (2,)
         Position of the part [m, plate_home].
     mu, error : float
         Mean coefficient of dynamic friction along the part's path, and its standard error.
@@ -213,7 +213,7 @@ class PartFriction:
     """
 
     id: str
-    place: np.ndarray
+    position: np.ndarray
     mu: float
     error: float
     static_ratio: float
@@ -310,11 +310,11 @@ class FrictionMeasurement:
             If no part is detected, a part is too near an edge, two parts are too near each other,
             or the rig's limits do not allow the first push.
         """
-        if not rest.place:
+        if not rest.position:
             raise PlateError("friction: no part is detected, allowed: one or more parts at rest")
-        names = list(rest.place)
+        names = list(rest.position)
         for name in names:
-            margin = float(np.min(rig.plate.half - np.abs(rest.place[name])))
+            margin = float(np.min(rig.plate.half - np.abs(rest.position[name])))
             min_margin = rig.edge_margin(part_class(name)).wall_m + STEP_CLEARANCE_M
             if margin < min_margin:
                 raise PlateError(
@@ -381,18 +381,20 @@ class FrictionMeasurement:
         assert self.push is not None
         push = played or self.push
         along = np.eye(2)[push.axis] * push.sign
-        ids = [name for name in self.rest.place if name in rest.place]
-        if 2 * len(ids) < len(self.rest.place) or not ids:
+        ids = [name for name in self.rest.position if name in rest.position]
+        if 2 * len(ids) < len(self.rest.position) or not ids:
             raise PlateError(
-                f"friction: {len(ids)} of {len(self.rest.place)} parts are detected after the "
+                f"friction: {len(ids)} of {len(self.rest.position)} parts are detected after the "
                 "push, allowed: half of them or more"
             )
-        lost = sorted(set(self.rest.place) - set(ids))
+        lost = sorted(set(self.rest.position) - set(ids))
         notes = self.notes + tuple(
             f"{name} is excluded, because it is no longer detected" for name in lost
         )
-        lag = {name: float(-along @ (rest.place[name] - self.rest.place[name])) for name in ids}
-        place = {name: (rest.place[name] + self.rest.place[name]) / 2 for name in ids}
+        lag = {
+            name: float(-along @ (rest.position[name] - self.rest.position[name])) for name in ids
+        }
+        position = {name: (rest.position[name] + self.rest.position[name]) / 2 for name in ids}
         error = float(np.hypot(np.hypot(rest.error, self.rest.error), FLOOR_M))
         for name, value in lag.items():
             if value < -max(SLID_M, NOISE_FACTOR * error):
@@ -401,11 +403,11 @@ class FrictionMeasurement:
                     "allowed: against it; check the motors' directions and the order of corners_px "
                     "in the rig file"
                 )
-        rest = replace(rest, place={name: rest.place[name] for name in ids})
+        rest = replace(rest, position={name: rest.position[name] for name in ids})
         _check_gaps(self.rig, rest, TOUCH_M)
         curves = [t.curve for t in self.trials if t.push.accel == push.accel]
         curve = curves[0] if curves else _slip_curve(push, self.rig.friction.gravity)
-        trial = Trial(push, self.stage, lag, place, error, curve)
+        trial = Trial(push, self.stage, lag, position, error, curve)
         if self.stage is Stage.DISTANCE:
             _check_slips(trial, self.rig.friction.gravity)
         trials = (*self.trials, trial)
@@ -440,7 +442,7 @@ class FrictionMeasurement:
         new = replace(self, guess=guess)
         if not guess:
             new = replace(new, slow=max(self.slow, SLOW_FRACTION * trial.push.accel))
-        unknown = sorted(set(self.rest.place) - set(guess))
+        unknown = sorted(set(self.rest.position) - set(guess))
         accel = trial.push.accel * SEARCH_FACTOR
         if 0 < len(unknown) <= len(guess):
             typical = float(np.median(list(guess.values()))) * gravity
@@ -450,8 +452,10 @@ class FrictionMeasurement:
                     "m/s2, but other parts do"
                     for name in unknown
                 )
-                place = {name: new.rest.place[name] for name in guess}
-                new = replace(new, notes=new.notes + notes, rest=replace(new.rest, place=place))
+                position = {name: new.rest.position[name] for name in guess}
+                new = replace(
+                    new, notes=new.notes + notes, rest=replace(new.rest, position=position)
+                )
                 unknown = []
         if not unknown:
             return new._plan_distance_pushes()
@@ -469,7 +473,7 @@ class FrictionMeasurement:
         gravity = self.rig.friction.gravity
         typical = float(np.median(list(self.guess.values())))
         accel = min(ABOVE * typical * gravity, self.max_accel)
-        grip = {name: self.guess[name] * gravity for name in self.rest.place}
+        grip = {name: self.guess[name] * gravity for name in self.rest.position}
         kept = [name for name in grip if accel / RANGE < grip[name] < accel / MIN_ABOVE]
         if not kept:
             raise PlateError(
@@ -481,7 +485,7 @@ class FrictionMeasurement:
             f"other parts is about {typical:.2f}; measure it separately"
             for name in sorted(set(grip) - set(kept))
         )
-        rest = replace(self.rest, place={name: self.rest.place[name] for name in kept})
+        rest = replace(self.rest, position={name: self.rest.position[name] for name in kept})
         mu = np.array([self.guess[name] for name in kept])
         todo: list[Push] = []
         for axis in (0, 1):
@@ -512,15 +516,15 @@ class FrictionMeasurement:
             float(
                 self.rig.plate.half[axis]
                 - self.rig.edge_margin(part_class(name)).wall_m
-                - sign * place[axis]
+                - sign * position[axis]
             )
-            for name, place in self.rest.place.items()
+            for name, position in self.rest.position.items()
         )
 
     def _plan_onset_pushes(self) -> FrictionMeasurement:
         """Return the measurement with the onset pushes."""
         gravity = self.rig.friction.gravity
-        mu = [self._fit_dynamic_friction(name)[0] for name in self.rest.place]
+        mu = [self._fit_dynamic_friction(name)[0] for name in self.rest.position]
         accel, last = ONSET_FROM * min(mu) * gravity, ONSET_TO * max(mu) * gravity
         todo: list[Push] = []
         while accel < min(last, self.max_accel):
@@ -537,9 +541,13 @@ class FrictionMeasurement:
     def _local_friction(self, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return mu of a part in each distance push (n,), its standard errors (n,), and the
         distances (n,) between the part's place in each push and its current place [m]."""
-        trials, rest_place = self._trials_of(name, Stage.DISTANCE), self.rest.place[name]
+        trials, rest_position = self._trials_of(name, Stage.DISTANCE), self.rest.position[name]
         values, errors = np.array([trial.local(name) for trial in trials]).T
-        return values, errors, np.array([np.hypot(*(t.place[name] - rest_place)) for t in trials])
+        return (
+            values,
+            errors,
+            np.array([np.hypot(*(t.position[name] - rest_position)) for t in trials]),
+        )
 
     def _fit_dynamic_friction(self, name: str) -> tuple[float, float]:
         """Return mu of a part by least squares over its distance pushes, and its standard error."""
@@ -603,13 +611,13 @@ class FrictionMeasurement:
     def result(self) -> FrictionResult:
         """Result of the measurement. The result is available at the end of the measurement."""
         parts, along, weights = [], [], []
-        for name in self.rest.place:
+        for name in self.rest.position:
             mu, error = self._fit_dynamic_friction(name)
             local, errors, _ = self._local_friction(name)
             along.append(float(np.var(local, ddof=1) - np.mean(errors**2)) / mu**2)
             weights.append(len(local) - 1)
             ratio = self._estimate_static_ratio(name)
-            parts.append(PartFriction(name, self.rest.place[name], mu, error, ratio))
+            parts.append(PartFriction(name, self.rest.position[name], mu, error, ratio))
         values = np.array([part.mu for part in parts])
         errors = np.array([part.error for part in parts])
         mean, count = float(np.mean(values)), len(parts)
@@ -652,7 +660,7 @@ class FrictionMeasurement:
     def _axis_note(self) -> tuple[str, ...]:
         """Return a note if mu differs between x and y."""
         pairs = []
-        for name in self.rest.place:
+        for name in self.rest.position:
             axis = np.array([trial.push.axis for trial in self._trials_of(name, Stage.DISTANCE)])
             local, _, _ = self._local_friction(name)
             pairs.append([np.mean(local[axis == k]) for k in (0, 1)])
@@ -727,11 +735,11 @@ def _slip_curve(push: Push, gravity: float) -> np.ndarray:
 
 def _check_gaps(rig: Rig, rest: Rest, min_gap: float) -> None:
     """Raise an error if the gap between two parts is less than `min_gap` [m]."""
-    names = list(rest.place)
+    names = list(rest.position)
     for i, one in enumerate(names):
         for other in names[i + 1 :]:
             reach = sum(rig.part_type(part_class(name)).reach_m for name in (one, other))
-            gap = float(np.hypot(*(rest.place[one] - rest.place[other]))) - reach
+            gap = float(np.hypot(*(rest.position[one] - rest.position[other]))) - reach
             if gap < min_gap:
                 raise PlateError(
                     f"friction: {one} and {other} are {max(0.0, 1e3 * gap):.1f} mm apart, allowed: "

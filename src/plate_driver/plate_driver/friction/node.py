@@ -276,7 +276,7 @@ class FrictionServer:
         self._driver.get_logger().info(text)
         parts = [
             PartFriction(
-                id=part.id, x=float(part.place[0]), y=float(part.place[1]), mu=part.mu,
+                id=part.id, x=float(part.position[0]), y=float(part.position[1]), mu=part.mu,
                 mu_error=part.error, static_ratio=float(part.static_ratio),
             )
             for part in result.parts

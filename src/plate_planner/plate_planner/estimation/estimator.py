@@ -129,10 +129,10 @@ class DriftBias:
     ids : tuple of str
     drift : (M, 2)
         Components of the drift error along the axes of each part [m/s].
-    place : (M, 2)
+    position : (M, 2)
         Predicted position of each part [m, plate_home].
     stamp : float
-        Time for which the positions `place` were predicted [s]. NaN if there is no prediction.
+        Time for which the positions `position` were predicted [s]. NaN if there is no prediction.
     span : float
         Prediction horizon [s]. The horizon is `stamp` minus the time of the newest information in
         the prediction.
@@ -142,7 +142,7 @@ class DriftBias:
 
     ids: tuple[str, ...] = ()
     drift: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
-    place: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
+    position: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
     stamp: float = np.nan
     span: float = np.nan
     latency: float | None = None
@@ -182,20 +182,20 @@ class DriftBias:
         """
         row = rows_of(parts.ids, self.ids)
         known = row >= 0
-        drift, place = np.zeros((len(parts), 2)), parts.position.copy()
-        drift[known], place[known] = self.drift[row[known]], self.place[row[known]]
+        drift, position = np.zeros((len(parts), 2)), parts.position.copy()
+        drift[known], position[known] = self.drift[row[known]], self.position[row[known]]
         if self._has_same_latency(latency) and self._is_prediction_for(t):
-            new = np.einsum("pij,pj->pi", axes, parts.position - place) / self.span
+            new = np.einsum("pij,pj->pi", axes, parts.position - position) / self.span
             new = np.clip(new, -max_error[:, None], max_error[:, None])
             drift += gain * np.where((known & seen)[:, None], new - drift, 0.0)
         return DriftBias(parts.ids, drift, parts.position)
 
     def with_prediction(
-        self, place: np.ndarray, t: float, stamp: float, latency: float | None
+        self, position: np.ndarray, t: float, stamp: float, latency: float | None
     ) -> DriftBias:
-        """Return the observer with a new prediction. The positions `place` (M, 2) [m] are predicted
-        for the time `stamp` [s] with information up to the time t [s]."""
-        return replace(self, place=place, stamp=stamp, span=stamp - t, latency=latency)
+        """Return the observer with a new prediction. `position` (M, 2) [m] is predicted for the
+        time `stamp` [s] with information up to the time t [s]."""
+        return replace(self, position=position, stamp=stamp, span=stamp - t, latency=latency)
 
     def along(self, axes: np.ndarray) -> np.ndarray:
         """Return the drift errors (M, 2) [m/s] of the parts in the frame plate_home. `axes`
@@ -541,11 +541,11 @@ class Estimator:
         if not self.log.known:
             return self.seen
         estimate, best = self.hypotheses.estimate, self.hypotheses.best
-        place = estimate.at(best, self.log, self.stamp, self.friction_accel)[:, :2]
+        position = estimate.at(best, self.log, self.stamp, self.friction_accel)[:, :2]
         types = [self.rig.part_type(part_class(name)) for name in estimate.ids]
         grip = self.friction_accel * self.friction * np.array([part.mass_kg for part in types])
         angle, spin = self._predict_angles(estimate.ids)
-        return Parts.make(estimate.ids, place, self._estimate_drift(place), angle, spin, grip)
+        return Parts.make(estimate.ids, position, self._estimate_drift(position), angle, spin, grip)
 
     def _predict_angles(self, ids: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
         """Return the angles (K,) [rad] and the angular velocities (K,) [rad/s] of parts at the time
@@ -558,9 +558,9 @@ class Estimator:
         row = rows_of(ids, self.seen.ids)
         return np.append(self.seen.angle, 0.0)[row], np.append(self.seen.spin, 0.0)[row]
 
-    def _estimate_drift(self, place: np.ndarray) -> np.ndarray:
-        """Return the drift (M, 2) [m/s] of the parts. `place` (M, 2) [m] contains the positions of
-        the parts at the time `stamp`.
+    def _estimate_drift(self, position: np.ndarray) -> np.ndarray:
+        """Return the drift (M, 2) [m/s] of the parts. `position` (M, 2) [m] is their position at
+        the time `stamp`.
 
         If images are not taken at cycle starts, the drift is the mean velocity since the last call
         of `observe`. Otherwise, it is the drift that the detector measured.
@@ -569,7 +569,7 @@ class Estimator:
             return self.hypotheses.estimate.drift
         row, span = rows_of(self.ids, self.before.ids), self.stamp - self.before_stamp
         usual = 0 < span < MAX_REQUEST_AGE * self.period
-        displacement = place - np.vstack([self.before.position, np.zeros((1, 2))])[row]
+        displacement = position - np.vstack([self.before.position, np.zeros((1, 2))])[row]
         return np.where((row >= 0)[:, None] & usual, displacement / max(span, MIN_S), 0.0)
 
     def predict(self, parts: Parts) -> np.ndarray:

@@ -177,9 +177,11 @@ class StateEstimate:
         old = [i for i, name in enumerate(parts.ids) if name in row]
         new = [i for i, name in enumerate(parts.ids) if name not in row]
         rows = np.array([row[parts.ids[i]] for i in old], int)
-        place = parts.position
+        position = parts.position
         mean, covariance = now._propagate(rows, log, time[:, old], friction_accel)
-        mean, covariance, fit = kalman_update(mean, covariance, place[old], jitter, now.usual[rows])
+        mean, covariance, fit = kalman_update(
+            mean, covariance, position[old], jitter, now.usual[rows]
+        )
         after = [now.mean.copy(), now.covariance.copy(), now.time.copy()]
         for values, piece in zip(after, (mean, covariance, time[:, old]), strict=True):
             values[:, rows] = piece
@@ -187,7 +189,7 @@ class StateEstimate:
         drift[rows], unseen[rows] = parts.velocity[old], 0
         count = len(time)
         still = np.zeros((len(new), 2))
-        first = np.hstack([place[new], still, np.log(friction[new, None])])
+        first = np.hstack([position[new], still, np.log(friction[new, None])])
         first = np.tile(first, (count, 1, 1))
         wide = np.tile(np.diag(FIRST_SEEN**2), (count, len(new), 1, 1))
         estimate = StateEstimate(

@@ -42,7 +42,7 @@ class Agreement:
         Predicted and observed displacements [m, plate_home], oldest first, at most `LAST`.
     ids : tuple of M str
         Parts of the current prediction. Empty if there is none.
-    place, predicted : (M, 2)
+    position, predicted : (M, 2)
         Their observed and their predicted positions [m, plate_home].
     stamp : float
         Time of the predicted positions [s].
@@ -50,7 +50,7 @@ class Agreement:
 
     moves: np.ndarray = field(default_factory=lambda: np.zeros((0, 2, 2)))
     ids: tuple[str, ...] = ()
-    place: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
+    position: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
     predicted: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
     stamp: float = -np.inf
 
@@ -64,8 +64,8 @@ class Agreement:
             return self
         rows = [k for k, name in enumerate(ids) if name in seen.ids]
         names = tuple(ids[k] for k in rows)
-        place = seen.position[[seen.ids.index(name) for name in names]]
-        return replace(self, ids=names, place=place, predicted=predicted[rows], stamp=stamp)
+        position = seen.position[[seen.ids.index(name) for name in names]]
+        return replace(self, ids=names, position=position, predicted=predicted[rows], stamp=stamp)
 
     def seeing(self, seen: Parts, t: float) -> Agreement:
         """Compare the parts in an image with the stamp t [s] with their prediction, if the
@@ -76,7 +76,7 @@ class Agreement:
         if t < self.stamp + SOON_S:
             rows = [k for k, name in enumerate(self.ids) if name in seen.ids]
             now = seen.position[[seen.ids.index(self.ids[k]) for k in rows]]
-            pair = np.stack([self.predicted[rows], now], axis=1) - self.place[rows, None]
+            pair = np.stack([self.predicted[rows], now], axis=1) - self.position[rows, None]
             length = np.hypot(*pair.transpose(2, 0, 1))
             used = (length[:, 0] > SHORT_M) & np.all(length < LONG_M, axis=1)
             moves = np.concatenate([moves, pair[used]])[-LAST:]

@@ -87,9 +87,9 @@ class Overlooked:
         inner = self.rig.plate.half - self.rig.limits.stroke_m
         candidates = []
         for thing in things:
-            place = np.array([thing.x, thing.y])
-            is_inside = bool(np.all(np.abs(place) + thing.radius <= inner))
-            distance = np.hypot(*(parts.position - place).T)  # distance from the published parts
+            position = np.array([thing.x, thing.y])
+            is_inside = bool(np.all(np.abs(position) + thing.radius <= inner))
+            distance = np.hypot(*(parts.position - position).T)  # distance from the published parts
             if low <= thing.radius <= high and is_inside and not np.any(distance < thing.radius):
                 candidates.append(thing)
         self.images.append(tuple(candidates))

@@ -62,7 +62,7 @@ class Assembler(TaskRules):
     def _assign_places(self, parts: Parts) -> tuple[np.ndarray, np.ndarray]:
         """Return the assigned place of each part (M, 2) [m], and whether the part has a place (M,).
         For a part without a place, the present position is returned instead."""
-        place = np.array(self.task.place)
-        row = assign(self.task.labels, place, parts)
+        position = np.array(self.task.place)
+        row = assign(self.task.labels, position, parts)
         placed = row >= 0
-        return np.where(placed[:, None], place[row], parts.position), placed
+        return np.where(placed[:, None], position[row], parts.position), placed

@@ -131,7 +131,7 @@ class FeedMemory:
     rest_from : float
         Time since which the plate has been at rest, or from which it will be at rest [s]. Infinite
         while motion is requested.
-    place : mapping of str to (x, y)
+    position : mapping of str to (x, y)
         Positions of the parts at the last image [m, plate_home]. If the last image was ignored, the
         parts that were ready are omitted, because the robot may have taken them.
     chosen : tuple of str
@@ -142,7 +142,7 @@ class FeedMemory:
     """
 
     rest_from: float = np.inf
-    place: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    position: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     chosen: tuple[str, ...] = ()
     clearing: bool = False
     report: FeedReport = field(default_factory=FeedReport)
@@ -192,15 +192,17 @@ class Feeder(TaskRules):
         if request is None:
             rest_from = min(memory.rest_from, now.rests)
         report = self._make_report(memory, now, rest_from)
-        place = {
+        position = {
             name: (x, y)
             for name, (x, y) in zip(parts.ids, parts.position.tolist(), strict=True)
-            if name in now.seen.ids or name in memory.place
+            if name in now.seen.ids or name in memory.position
         }
         if now.kept:  # ready parts that are missing are not lost, because the robot takes them
             taken = memory.report.ready.ids
-            place = {
-                name: part_place for name, part_place in memory.place.items() if name not in taken
+            position = {
+                name: part_position
+                for name, part_position in memory.position.items()
+                if name not in taken
             }
         ready, ordered = len(report.ready), sum(pick.ready for pick in self._picks)
         left = sum(report.seen.values())
@@ -209,7 +211,7 @@ class Feeder(TaskRules):
             doing = f"{left} parts left to purge"
         elif self._mode is FeedMode.REST:
             doing += ", the plate is at rest for the robot"
-        return FeedMemory(rest_from, place, chosen, clearing, report), Assessment(
+        return FeedMemory(rest_from, position, chosen, clearing, report), Assessment(
             request=request,
             count=ready,
             distance=np.zeros(len(parts)),
@@ -248,15 +250,15 @@ class Feeder(TaskRules):
             ready |= ready_parts(every, pick, self.task.clearance_m, self.rig, gap)
         at_rest = now.taken >= max(rest_from, now.resting_since) + SETTLE_S
         if at_rest and not now.kept:
-            last = [memory.place.get(name, (np.inf, np.inf)) for name in every.ids]
+            last = [memory.position.get(name, (np.inf, np.inf)) for name in every.ids]
             moved = np.hypot(*(every.position - np.reshape(last, (-1, 2))).T)
             ready &= moved <= STILL_M
         ready &= is_seen
         discharged, lost = before.discharged, before.lost
-        new = every.take([i for i, name in enumerate(every.ids) if name not in memory.place])
-        for name, place in () if now.kept else memory.place.items():
-            if name not in every.ids and not _has_new_id(new, name, place):
-                side = self._find_exit_side(name, np.array(place))
+        new = every.take([i for i, name in enumerate(every.ids) if name not in memory.position])
+        for name, position in () if now.kept else memory.position.items():
+            if name not in every.ids and not _has_new_id(new, name, position):
+                side = self._find_exit_side(name, np.array(position))
                 meant = side == self._chute_side and not self._is_wanted(name)
                 discharged += side is not None and meant
                 lost += side is not None and not meant
@@ -279,13 +281,13 @@ class Feeder(TaskRules):
         labels = [pick.label for pick in self._picks]
         return self._mode is not FeedMode.PURGE and part_class(name) in labels
 
-    def _find_exit_side(self, name: str, place: np.ndarray) -> tuple[int, int] | None:
+    def _find_exit_side(self, name: str, position: np.ndarray) -> tuple[int, int] | None:
         """Return the side over which a vanished part has left the plate, or None if it has not left
-        the plate. `place` (2,) [m] is the last position of the part."""
+        the plate. `position` (2,) [m] is the last position of the part."""
         reach = self.rig.part_type(part_class(name)).reach_m
-        to_edge = self.rig.plate.half - np.abs(place)
+        to_edge = self.rig.plate.half - np.abs(position)
         axis = int(np.argmin(to_edge))
-        sign = 1 if place[axis] > 0 else -1
+        sign = 1 if position[axis] > 0 else -1
         side = (sign, 0) if axis == 0 else (0, sign)
         near = NEAR_CHUTE if side == self._chute_side else NEAR_EDGE
         return side if to_edge[axis] <= near * reach else None
@@ -455,11 +457,11 @@ class Aims:
         return Targets(self.low, self.high, weight[:, None] * np.ones(2), gap_m, angles)
 
 
-def _has_new_id(parts: Parts, name: str, place: tuple[float, float]) -> bool:
+def _has_new_id(parts: Parts, name: str, position: tuple[float, float]) -> bool:
     """Whether one of the parts has the same class as the vanished part `name` and is close to its
-    last place (x, y). In this case, both are the same part, which has got a new id."""
+    last position (x, y). In this case, both are the same part, which has got a new id."""
     same = [part_class(part_id) == part_class(name) for part_id in parts.ids]
-    distance = np.hypot(*(parts.position - place).T)
+    distance = np.hypot(*(parts.position - position).T)
     return bool(np.any(distance[np.array(same, dtype=bool)] <= RENAMED_M))
 
 

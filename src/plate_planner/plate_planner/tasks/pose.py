@@ -30,12 +30,12 @@ class PoseMemory:
     ----------
     match : tuple of str
         Id of the part that is assigned to each pose.
-    place : (P, 2)
+    position : (P, 2)
         Position of each pose [m, plate_home]. NaN accepts any position.
     """
 
     match: tuple[str, ...] = ()
-    place: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
+    position: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
 
 
 @dataclass(frozen=True)
@@ -81,17 +81,17 @@ class Poser(TaskRules):
         """Assign a part of the correct class to each pose. The assignment minimises the sum of the
         squared distances and the squared arc lengths."""
         poses = self.task.poses
-        place = np.array([(np.nan, np.nan) if p.place is None else p.place for p in poses])
-        offset = place[:, None] - parts.position
+        position = np.array([(np.nan, np.nan) if p.place is None else p.place for p in poses])
+        offset = position[:, None] - parts.position
         arc = np.array(
             [self._reach(p.label) * self._remaining_rotation(p, parts.angle) for p in poses]
         )
         square = np.nan_to_num(np.sum(offset**2, axis=2)) + arc.reshape(len(poses), len(parts)) ** 2
         match = match_by_cost(tuple(pose.label for pose in poses), square, parts)
-        for row in np.flatnonzero(np.isnan(place[:, 0])):
+        for row in np.flatnonzero(np.isnan(position[:, 0])):
             if match[row] != UNMATCHED and not self.task.anywhere:
-                place[row] = parts.position[parts.ids.index(match[row])]
-        return PoseMemory(match, place)
+                position[row] = parts.position[parts.ids.index(match[row])]
+        return PoseMemory(match, position)
 
     def errors(self, memory: PoseMemory, parts: Parts) -> tuple[np.ndarray, np.ndarray]:
         """Return two arrays (M,). The arrays contain the distance of each part from its place [m],
@@ -99,7 +99,7 @@ class Poser(TaskRules):
         without a pose."""
         distance, angle = np.zeros(len(parts)), np.zeros(len(parts))
         pose, part = matched_rows(memory.match, parts)
-        to_pose = np.hypot(*(memory.place[pose] - parts.position[part]).T)
+        to_pose = np.hypot(*(memory.position[pose] - parts.position[part]).T)
         distance[part] = np.nan_to_num(to_pose)
         for k, row in zip(pose, part, strict=True):
             angle[row] = self._remaining_rotation(self.task.poses[k], parts.angle[row])
@@ -137,8 +137,8 @@ class Poser(TaskRules):
         aim, weight = parts.position.copy(), np.zeros((len(parts), 2))
         turned = np.zeros(len(parts))
         pose, part = matched_rows(memory.match, parts)
-        placed = np.isfinite(memory.place[pose, 0])
-        aim[part[placed]] = memory.place[pose[placed]]
+        placed = np.isfinite(memory.position[pose, 0])
+        aim[part[placed]] = memory.position[pose[placed]]
         reach = np.array([self._reach(self.task.poses[k].label) for k in pose])
         arcs = reach * missing[part]
         counts = distance_weight(

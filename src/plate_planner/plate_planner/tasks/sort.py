@@ -177,14 +177,14 @@ class Sorter(TaskRules):
         for rows, region, slot in self._parts_by_bin(parts.ids):
             group = parts.take(rows)
             label = part_class(group.ids[0])
-            place = slot[assign((label,) * len(slot), slot, group)]
+            position = slot[assign((label,) * len(slot), slot, group)]
             clearance = (
-                region.exterior.distance(shapely.MultiPoint(place)) - self.rig.parts.radius_m
+                region.exterior.distance(shapely.MultiPoint(position)) - self.rig.parts.radius_m
             )
             clearance = max(clearance, 0.0)
-            inside = behind_wall(place - clearance, place + clearance, label, self.rig)
+            inside = behind_wall(position - clearance, position + clearance, label, self.rig)
             low[rows], high[rows] = inside
-            displacement[rows] = place - parts.position[rows]
+            displacement[rows] = position - parts.position[rows]
         requested = (low > -half) | (high < half)
         weight = np.where(requested, distance_weight(displacement), 0.0)
         # Parts that are far from their sides use one lane to move to the left and another lane to

@@ -119,7 +119,7 @@ def matched_rows(match: tuple[str, ...], parts: Parts) -> tuple[np.ndarray, np.n
     return target, row[target]
 
 
-def assign(labels: tuple[str, ...], place: np.ndarray, parts: Parts) -> np.ndarray:
+def assign(labels: tuple[str, ...], position: np.ndarray, parts: Parts) -> np.ndarray:
     """Assign parts to places (P, 2) [m] that are intended for their class. The assignment minimises
     the sum of squared distances.
 
@@ -129,7 +129,7 @@ def assign(labels: tuple[str, ...], place: np.ndarray, parts: Parts) -> np.ndarr
         Index of the place that is assigned to each part. The index is -1 for a part without a
         place.
     """
-    return rows_of(parts.ids, match_targets(labels, place, parts))
+    return rows_of(parts.ids, match_targets(labels, position, parts))
 
 
 def distance_weight(offset: np.ndarray) -> float:

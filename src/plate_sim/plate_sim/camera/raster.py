@@ -153,12 +153,12 @@ def _highlight_circle(part: PartType) -> tuple[float, float, float, float]:
     """Return the row of `Outlines.spot` for a part type (4,). The farthest point is searched for on
     a grid with `SPOT_GRID` points per axis."""
     axis = part.reach_m * np.linspace(-1, 1, SPOT_GRID)
-    place = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+    position = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
     shape = shapely.Polygon(part.polygon, part.holes)
-    inside = shapely.contains_xy(shape, *place.T)
-    depth = np.where(inside, shapely.distance(shape.boundary, shapely.points(place)), 0.0)
+    inside = shapely.contains_xy(shape, *position.T)
+    depth = np.where(inside, shapely.distance(shape.boundary, shapely.points(position)), 0.0)
     best = int(np.argmax(depth))
-    return float(place[best, 0]), float(place[best, 1]), float(depth[best]), part.area_m2
+    return float(position[best, 0]), float(position[best, 1]), float(depth[best]), part.area_m2
 
 
 def polygon_edges(corner: np.ndarray) -> np.ndarray:

@@ -167,8 +167,8 @@ class SimulatedDrives:
 
     def _process_sync(self) -> list[Frame]:
         answers = []
-        for node, place in zip(self._nodes, self._encoder_counts(), strict=True):
-            answers += node.synchronised(place)
+        for node, position in zip(self._nodes, self._encoder_counts(), strict=True):
+            answers += node.synchronised(position)
         self._from = self._to
         self._to = (np.array([node.target for node in self._nodes]) - self.zeros) / self._scale
         self._time_since_sync_s = 0.0

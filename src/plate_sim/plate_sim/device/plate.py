@@ -94,11 +94,11 @@ class Recorder:
 
             x(t) = (x_0 + (v_0 + r x_0) t) exp(-r t).
         """
-        place, speed, _ = self.plate
-        push = speed + COAST_RATE * place
+        position, speed, _ = self.plate
+        push = speed + COAST_RATE * position
         fade = np.exp(-COAST_RATE * dt)
-        place, speed = (place + push * dt) * fade, (speed - COAST_RATE * push * dt) * fade
-        return np.stack([place, speed, -(COAST_RATE**2) * place - 2 * COAST_RATE * speed])
+        position, speed = (position + push * dt) * fade, (speed - COAST_RATE * push * dt) * fade
+        return np.stack([position, speed, -(COAST_RATE**2) * position - 2 * COAST_RATE * speed])
 
     def followed(
         self,

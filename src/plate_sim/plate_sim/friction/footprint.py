@@ -232,15 +232,15 @@ def union(polygons: Sequence[np.ndarray], *, mass: float = MASS, points: int = P
         quadrature.polygon_rule(shape, max(3, round(count * area / sum(areas))))
         for shape, area in zip(shapes, areas, strict=True)
     ]
-    place = np.concatenate([rule[0] for rule in rules])
+    position = np.concatenate([rule[0] for rule in rules])
     weight = np.concatenate([rule[1] for rule in rules])
     fraction = weight / weight.sum()
-    middle = fraction @ place
-    place -= middle
+    middle = fraction @ position
+    position -= middle
     return Footprint(
         mass,
-        mass * float(fraction @ (place**2).sum(1)),
-        place,
+        mass * float(fraction @ (position**2).sum(1)),
+        position,
         fraction,
         CELL * np.sqrt(weight),
         tuple(corners - middle for corners in shapes),

@@ -39,17 +39,17 @@ def _footprint(part: PartType) -> Footprint:
     if not part.holes:
         return union(convex_pieces(part.polygon), mass=mass)
     holes = [np.array(hole) for hole in part.holes]
-    place, area = _cells(part.polygon, holes)
+    position, area = _cells(part.polygon, holes)
     weight = area / area.sum()
     # Transform the grid points so that their first and second moments are equal to the moments of
     # the part. With this transformation, the centre of mass and the inertia are exact.
-    place = place - weight @ place
+    position = position - weight @ position
     true_area, _, second = moments(part.polygon, holes)
-    root = np.linalg.cholesky((weight[:, None] * place).T @ place)
-    place = place @ np.linalg.inv(root).T @ np.linalg.cholesky(second / true_area).T
+    root = np.linalg.cholesky((weight[:, None] * position).T @ position)
+    position = position @ np.linalg.inv(root).T @ np.linalg.cholesky(second / true_area).T
     outline = (part.polygon,) if part.radius_m else tuple(convex_pieces(part.polygon))
     inertia = mass * float(np.trace(part.spread_m2))
-    return Footprint(mass, inertia, place, weight, CELL * np.sqrt(area), outline, part.radius_m)
+    return Footprint(mass, inertia, position, weight, CELL * np.sqrt(area), outline, part.radius_m)
 
 
 def _cells(outline: np.ndarray, holes: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
@@ -68,8 +68,8 @@ def _cells(outline: np.ndarray, holes: list[np.ndarray]) -> tuple[np.ndarray, np
     cell = (cell + np.arange(count[1] * GRID) // GRID).ravel()[part]
     number = np.bincount(cell, minlength=count.prod())
     kept = number > 0
-    place = [np.bincount(cell, point[part, axis], count.prod())[kept] for axis in range(2)]
-    return np.stack(place, axis=1) / number[kept, None], number[kept] * np.prod(
+    position = [np.bincount(cell, point[part, axis], count.prod())[kept] for axis in range(2)]
+    return np.stack(position, axis=1) / number[kept, None], number[kept] * np.prod(
         (high - low) / (count * GRID)
     )
 

@@ -39,8 +39,8 @@ def polygon_rule(corners: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarra
         middle = 0.5 * (a + b)
         triangles += [np.array([a, middle, c]), np.array([middle, b, c])]
     mix = np.full((3, 3), NEAR) + (FAR - NEAR) * np.eye(3)
-    place = np.concatenate([mix @ triangle for triangle in triangles])
-    return place, np.repeat([area(triangle) / 3 for triangle in triangles], 3)
+    position = np.concatenate([mix @ triangle for triangle in triangles])
+    return position, np.repeat([area(triangle) / 3 for triangle in triangles], 3)
 
 
 def _parallelogram(corners: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:

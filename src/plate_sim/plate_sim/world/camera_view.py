@@ -176,11 +176,11 @@ class CameraView:
         shown = self._draw_errors()
         if shown is None:
             return None
-        hidden, place, like = shown
+        hidden, position, like = shown
         path, angle, seen, pose = self._make_view(state, plate, age)
         false = len(like)
         drawn = np.append(np.flatnonzero(seen & ~hidden), like)
-        spots = np.broadcast_to(place, (len(path), false, 2))
+        spots = np.broadcast_to(position, (len(path), false, 2))
         drawn_path = path[:, drawn[: len(drawn) - false]]
         turned = self._marked or self._typed
         old = self._disturbances.latency if age is None else age
@@ -233,9 +233,9 @@ class CameraView:
         missed = self._image_rng.random() < self._disturbances.missed_images
         hidden = self._part_rng.random(count) < self._disturbances.missed_parts
         false = self._part_rng.binomial(count, self._disturbances.false_parts)
-        place = self._rig.plate.half * self._part_rng.uniform(-1, 1, (false, 2))
+        position = self._rig.plate.half * self._part_rng.uniform(-1, 1, (false, 2))
         like = self._part_rng.choice(count, false)
-        return None if missed else (hidden, place, like)
+        return None if missed else (hidden, position, like)
 
     @property
     def _shows_past_state(self) -> bool:
@@ -310,7 +310,7 @@ def check_height(rig: Rig, disturbances: Disturbances) -> None:
         **named,
     }
     high = [(name, value) for name, value in heights.items() if value > 0]
-    if not high or (place := camera_place(rig)) is None:
+    if not high or (position := camera_place(rig)) is None:
         if high:
             raise PlateError(
                 f"{high[0][0]} is {high[0][1]:g}, allowed: 0, because the rig file gives neither "
@@ -318,9 +318,9 @@ def check_height(rig: Rig, disturbances: Disturbances) -> None:
             )
         return
     for name, value in high:
-        if value >= place[2]:
+        if value >= position[2]:
             raise PlateError(
-                f"{name} is {value:g}, allowed: less than the camera's height, {place[2]:.3g} m"
+                f"{name} is {value:g}, allowed: less than the camera's height, {position[2]:.3g} m"
             )
 
 

@@ -150,7 +150,7 @@ class History:
 
 
 def _interpolate(
-    time: np.ndarray, place: np.ndarray, rate: np.ndarray, t: float
+    time: np.ndarray, position: np.ndarray, rate: np.ndarray, t: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Interpolate positions and velocities of samples. Return both (M, ...) at the time t [s].
 
@@ -162,7 +162,7 @@ def _interpolate(
     h = time[k + 1] - time[k]
     fraction = (t - time[k]) / h
     start, end = rate[k], rate[k + 1]
-    line = place[k] + fraction * (place[k + 1] - place[k])
+    line = position[k] + fraction * (position[k + 1] - position[k])
     return line - 0.5 * h * fraction * (1 - fraction) * (end - start), start + fraction * (
         end - start
     )

@@ -102,37 +102,39 @@ def drop_part(
     limit, others = rig.plate.half - kind.reach_m, PartsOnPlate.of(state, rig)
     for _ in range(TRIES):
         radius, direction = hopper.spread_m * np.sqrt(rng.random()), rng.uniform(-np.pi, np.pi)
-        place = np.array(hopper.place) + radius * np.array([np.cos(direction), np.sin(direction)])
-        found = _find_rest_position(others, kind, place, angle, limit)
+        position = np.array(hopper.place) + radius * np.array(
+            [np.cos(direction), np.sin(direction)]
+        )
+        found = _find_rest_position(others, kind, position, angle, limit)
         if found is not None:
             return Dropped(label, found, angle, unit)
     return None
 
 
 def _find_rest_position(
-    others: PartsOnPlate, kind: PartType, place: np.ndarray, angle: float, limit: np.ndarray
+    others: PartsOnPlate, kind: PartType, position: np.ndarray, angle: float, limit: np.ndarray
 ) -> np.ndarray | None:
-    """Return the final position of a part that falls at the place `place` (2,) [m]. Return None if
+    """Return the final position of a part that falls at `position` (2,) [m]. Return None if
     the part is not completely on the plate in the end."""
-    hit = others.met(kind, place, angle)
+    hit = others.met(kind, position, angle)
     if not hit:
-        return place if np.all(np.abs(place) <= limit) else None
-    direction = place - others.position[hit[0]]
+        return position if np.all(np.abs(position) <= limit) else None
+    direction = position - others.position[hit[0]]
     distance = np.hypot(*direction)
     direction = direction / distance if distance > 0 else np.array([1.0, 0.0])
     for step in range(1, 1 + ceil(2 * np.hypot(*limit) / SLIDE_STEP_M)):
-        end = place + step * SLIDE_STEP_M * direction
+        end = position + step * SLIDE_STEP_M * direction
         if not np.all(np.abs(end) <= limit):
             return None
         if not others.met(kind, end, angle):
             touching, free = (step - 1) * SLIDE_STEP_M, step * SLIDE_STEP_M
             while free - touching > TOUCH_M:
                 middle = (touching + free) / 2
-                if others.met(kind, place + middle * direction, angle):
+                if others.met(kind, position + middle * direction, angle):
                     touching = middle
                 else:
                     free = middle
-            return np.asarray(place + free * direction)
+            return np.asarray(position + free * direction)
     return None
 
 
@@ -167,13 +169,13 @@ class PartsOnPlate:
         reach, radius = np.array([(kind.reach_m, kind.radius_m) for kind in types]).reshape(-1, 2).T
         return cls(state.position[rows], reach, radius, np.array(list(shapes), dtype=object))
 
-    def met(self, kind: PartType, place: np.ndarray, angle: float) -> list[int]:
+    def met(self, kind: PartType, position: np.ndarray, angle: float) -> list[int]:
         """Return the indices of the parts that another part of type `kind` would overlap at the
-        pose `place`, `angle`. The nearest part is first."""
-        apart = np.hypot(*(self.position - place).T)
+        pose `position`, `angle`. The nearest part is first."""
+        apart = np.hypot(*(self.position - position).T)
         near = np.argsort(apart)
         near = near[apart[near] < self.reach[near] + kind.reach_m]
-        other, shape = self.shape[near], kind.placed(place, angle)
+        other, shape = self.shape[near], kind.placed(position, angle)
         met = shapely.distance(other, shape) < self.radius[near] + kind.radius_m
         # This pattern (DE-9IM) is true if the interiors of two shapes intersect.
         met |= shapely.relate_pattern(other, shape, "T********")

@@ -116,15 +116,15 @@ def displace_slipped_part(
     from the gripper. The part is displaced and rotated at random. If the displaced part would
     overlap another part or leave the plate, the part stays at its place instead."""
     row = state.ids.index(part_id)
-    place, angle = state.position[row], float(state.angle[row])
+    position, angle = state.position[row], float(state.angle[row])
     radius, direction = NUDGE_M * np.sqrt(rng.random()), rng.uniform(-np.pi, np.pi)
-    new = place + radius * np.array([np.cos(direction), np.sin(direction)])
+    new = position + radius * np.array([np.cos(direction), np.sin(direction)])
     turned = angle + rng.uniform(-NUDGE_RAD, NUDGE_RAD)
     kind = rig.part_type(part_class(part_id))
     free = np.all(np.abs(new) <= rig.plate.half - kind.reach_m)
     if free and not PartsOnPlate.of(state, rig, part_id).met(kind, new, turned):
         return new, turned
-    return place, angle
+    return position, angle
 
 
 class Robot:
@@ -203,24 +203,24 @@ class Robot:
             self.taken |= {result.id}
             state = replace(state, on_plate=state.on_plate & ~row)
         elif result.id:
-            place, turned = displace_slipped_part(state, self._rig, result.id, rng)
+            position, turned = displace_slipped_part(state, self._rig, result.id, rng)
             state = replace(
                 state,
-                position=np.where(row[:, None], place, state.position),
+                position=np.where(row[:, None], position, state.position),
                 velocity=np.where(row[:, None], 0.0, state.velocity),
                 angle=np.where(row, turned, state.angle),
                 spin=np.where(row, 0.0, state.spin),
             )
         return state, result
 
-    def _record_station(self, place: np.ndarray | None, now: float, shown: float) -> None:
+    def _record_station(self, position: np.ndarray | None, now: float, shown: float) -> None:
         oldest = max(i for i, (since, _) in enumerate(self.stations) if since <= max(shown, 0.0))
-        self.stations = [*self.stations[oldest:], (now, place)]
+        self.stations = [*self.stations[oldest:], (now, position)]
 
     def at(self, time: float) -> np.ndarray | None:
         """Return the position of the gripper (2,) [m, plate_home] at the time `time` [s]. Return
         None if the robot was away from the plate."""
-        return [place for since, place in self.stations if since <= max(time, 0.0)][-1]
+        return [position for since, position in self.stations if since <= max(time, 0.0)][-1]
 
     def has(self, ids: tuple[str, ...]) -> np.ndarray:
         """Return for each of the parts `ids` whether the robot has taken it (M,)."""

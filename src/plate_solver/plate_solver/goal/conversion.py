@@ -197,8 +197,8 @@ def _to_go(rig: Rig, request: CycleRequest, to: Targets) -> np.ndarray:
     For a part whose remaining rotation, as an arc length at the part's edge, is larger than this
     distance, the result is the arc length.
     """
-    place = request.parts.position if request.start is None else request.start[:, :2]
-    distance = np.maximum(np.maximum(to.low - place, place - to.high), 0.0)
+    position = request.parts.position if request.start is None else request.start[:, :2]
+    distance = np.maximum(np.maximum(to.low - position, position - to.high), 0.0)
     distance = np.hypot(*np.where(to.weight > 0, distance, 0.0).T)
     if to.angles is None:
         return np.asarray(distance)

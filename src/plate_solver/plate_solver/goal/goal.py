@@ -206,10 +206,10 @@ class Goal:
 
         The longest displacement has the length `length` [m].
         """
-        place = (self.position + self.coast * self.velocity).T.ravel()
+        end = (self.position + self.coast * self.velocity).T.ravel()
         if self.rotations is not None:
-            place = np.append(place, self.coast * self.rotations.spin)
-        error, slope = self.error(place)
+            end = np.append(end, self.coast * self.rotations.spin)
+        error, slope = self.error(end)
         direction = (error @ slope)[: self.position.size].reshape(2, -1).T
         return np.asarray(direction * (length / max(float(np.max(np.hypot(*direction.T))), 1e-12)))
 
@@ -268,13 +268,13 @@ class Goal:
         """
         moved = pose, twist, dt, self.friction_accel
         if self.rotations is None:
-            place, velocity = end_state(self.position, self.velocity, *moved)
-            return (place + self.coast * velocity).T.ravel()
-        place, velocity, rotation, spin = end_turning(
+            position, velocity = end_state(self.position, self.velocity, *moved)
+            return (position + self.coast * velocity).T.ravel()
+        position, velocity, rotation, spin = end_turning(
             self.position, self.velocity, self.rotations.spin, self.rotations.spread, *moved
         )
-        place += self.coast * velocity
-        return np.concatenate([place.T.ravel(), rotation + self.coast * spin])
+        position += self.coast * velocity
+        return np.concatenate([position.T.ravel(), rotation + self.coast * spin])
 
     def end_slopes(
         self, pose: np.ndarray, twist: np.ndarray, dt: np.ndarray
