@@ -1,10 +1,11 @@
 """Assign tests to workers, so that real nodes get the processor when they need it.
 
 Most files of test/ start nodes or programs and mostly wait for them. All other files compute: those
-of the packages, in src/, and those of test/ that start neither. The first half of the workers runs
-the files that wait, then the other files. The other half runs the files that compute, at a lower
-priority: it uses the time in which the first half waits. When no file of its kind is left, a worker
-takes the others, so that all processors are busy until the end.
+of the packages, in src/, and those of test/ that start neither. The front workers are the first
+half of the workers, rounded down but at least one. They run the files that wait, then the other
+files. The other workers run the files that compute, at a lower priority, so they use the time in
+which the front workers wait. When no file of its kind is left, a worker takes the others. Therefore
+all processors are busy until the end.
 """
 
 import os
@@ -18,8 +19,8 @@ from xdist.scheduler import LoadFileScheduling
 from xdist.workermanage import WorkerController
 
 BEHIND = 10
-"""Increment of the `nice` value of the other workers. They get a tenth of the weight of the first
-half."""
+"""Increment of the `nice` value of the other workers. Each of them gets a tenth of the weight of a
+front worker."""
 
 ROOT = Path(__file__).resolve().parents[1]
 FRONT = "test/"
@@ -34,14 +35,14 @@ def computes(name: str) -> bool:
 
 
 def in_front(worker: Mapping[str, Any]) -> bool:
-    """Whether a worker is of the first half, by the input that pytest-xdist gives it."""
+    """Whether a worker is a front worker, by the input that pytest-xdist gives it."""
     number = int(worker["workerid"].removeprefix("gw"))  # more than there are, after a crash
-    return 2 * (number % worker["workercount"]) < worker["workercount"]
+    count = worker["workercount"]
+    return number % count < max(1, count // 2)
 
 
 def give_way(worker: Mapping[str, Any]) -> None:
-    """Lower the priority of this process and its children, unless it is a worker of the first
-    half."""
+    """Lower the priority of this process and its children, unless it is a front worker."""
     if not in_front(worker):
         os.nice(BEHIND)
 

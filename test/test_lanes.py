@@ -93,7 +93,7 @@ def test_tests_of_real_nodes_give_way_only_when_nothing_else_is_left():
 
 @pytest.mark.parametrize(
     ("number", "count", "front"),
-    [(0, 1, True), (1, 2, False), (1, 3, True), (1, 4, True), (2, 4, False), (4, 4, True)],
+    [(0, 1, True), (1, 2, False), (1, 3, False), (1, 4, True), (2, 4, False), (4, 4, True)],
 )
 def test_workers_behind_give_way(monkeypatch, number, count, front):
     """A worker that replaces a crashed one gets its lane, or an earlier one."""
