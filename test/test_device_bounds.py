@@ -271,7 +271,7 @@ int main(void)
     Setpoint at = {0};
     c.limits = motors_start();
     while (scanf("%f %f", &at.position[2], &at.velocity[2]) == 2)
-        printf("%d", sane(&c, &at, 1e-3f));
+        printf("%d", setpoint_allowed(&c, &at, 1e-3f));
 }
 """
 """A program that computes which setpoints are allowed 1 ms after rest at home."""

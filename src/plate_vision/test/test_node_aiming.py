@@ -205,7 +205,7 @@ def test_a_lens_that_opencv_cannot_fit_is_reported_and_pictures_go_on(graph):
     assert called(graph, "fit_lens").success
 
 
-LENS = Lens(np.eye(3), np.zeros(5), "plumb_bob")
+LENS = Lens(np.diag([600.0, 600.0, 1.0]), np.zeros(5), "plumb_bob")
 
 
 @pytest.mark.parametrize(
