@@ -250,9 +250,13 @@ class Bench:
 
     def rests(self) -> bool:
         """Whether the driver reports that the plate rests. On a busy computer the device may have
-        stopped because it received nothing from the driver. The motors are then enabled again."""
+        stopped because it received nothing from the driver. The motors are then enabled again. If
+        the last cycle arrived too late and was refused, another one is sent."""
         if self.status.state in (DriverStatus.DISABLED, DriverStatus.STOPPED):
             self.enable()
+        if "refused" in self.reports[-1].message:
+            self.send()
+            self.wait(1.0)  # until the next report
         return bool(self.reports[-1].message == AT_REST)
 
     def send_in_vain(self) -> None:
