@@ -10,8 +10,10 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import hashlib
 import os
 import shutil
+import socket
 import stat
 from collections.abc import Iterator
 from pathlib import Path
@@ -141,14 +143,13 @@ def draft(path: str | Path, what: str, keeps: bool = True) -> Iterator[BinaryIO]
 
 
 class OwnFile:
-    """File that only this process can write. The content of the file is complete at any time. When
-    a new file is closed and is still empty, it is removed. The object is a context manager.
+    """File that only this process can write. The content of the file is complete at any time. A new
+    file appears with its first content. The object is a context manager.
 
     Parameters
     ----------
     path : path
-        A regular file, which is made if it does not exist, or a device such as /dev/stdout. Links
-        are followed.
+        A regular file, a new file, or a device such as /dev/stdout. Links are followed.
 
     Raises
     ------
@@ -165,9 +166,10 @@ class OwnFile:
         self._path = Path(path)
         self._place = self._path if of_system else Path(os.path.realpath(path))
         self._beside = self._place.with_name(f"{self._place.name}.draft")
-        self._is_new = not os.path.exists(path)
+        self._is_new = False
         self._held = self._open()
-        self._replaced = not of_system and stat.S_ISREG(os.fstat(self._held).st_mode)
+        is_file = self._is_new or stat.S_ISREG(os.fstat(self._held).st_mode)
+        self._replaced = is_file and not of_system
         if self._replaced:  # test whether files can be made in the folder
             try:
                 os.close(_create(self._beside))
@@ -193,7 +195,10 @@ class OwnFile:
         number = _create(self._beside)
         try:
             _try_lock(number)
-            os.fchmod(number, stat.S_IMODE(os.fstat(self._held).st_mode))
+            if not self._is_new:
+                os.fchmod(number, stat.S_IMODE(os.fstat(self._held).st_mode))
+            elif os.path.lexists(self._place):  # made without a lock, or on another computer
+                raise PlateError(self._in_use())
             with open(number, "w", encoding="utf-8", closefd=False) as file:
                 file.write(text)
             self._beside.replace(self._place)
@@ -203,18 +208,28 @@ class OwnFile:
                 self._beside.unlink()
             raise
         os.close(self._held)
-        self._held = number
+        self._held, self._is_new = number, False
 
     def close(self) -> None:
         """Close the file, so that other processes can open it for writing."""
-        if self._is_new and self._replaced and not os.fstat(self._held).st_size:
-            with contextlib.suppress(OSError):
-                self._place.unlink()
         os.close(self._held)
 
+    def _in_use(self) -> str:
+        return (
+            f"{self._path} is in use, because another process writes it, allowed: another file, or "
+            "this file after that process has ended"
+        )
+
     def _open(self) -> int:
+        """Open and lock the file. If the file does not exist, lock its path, and set `_is_new`."""
         while True:
-            number = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_NONBLOCK, 0o666)
+            if not os.path.lexists(self._place):
+                number = self._lock_path()
+                self._is_new = not os.path.lexists(self._place)
+                if self._is_new:
+                    return number
+                os.close(number)  # another process has made the file in the meantime
+            number = os.open(self._path, os.O_WRONLY | os.O_NONBLOCK)
             try:
                 found = os.fstat(number)
                 free = not stat.S_ISREG(found.st_mode) or _try_lock(number)
@@ -224,11 +239,20 @@ class OwnFile:
                 free = True
             os.close(number)
             if not free:
-                raise PlateError(
-                    f"{self._path} is in use, because another process writes it, allowed: another "
-                    "file, or this file after that process has ended"
-                )
+                raise PlateError(self._in_use())
             # another process has replaced the file in the meantime, so open the new one
+
+    def _lock_path(self) -> int:
+        """Lock the path of a new file by an abstract socket (unix(7)) with a name that is derived
+        from the path. If this process is killed, the kernel removes the socket. A file would
+        remain."""
+        name = hashlib.sha256(os.fsencode(self._place)).hexdigest()
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as lock:
+            try:
+                lock.bind(f"\0plate_core.files {name}")
+            except OSError:
+                raise PlateError(self._in_use()) from None
+            return lock.detach()
 
 
 def _create(path: Path) -> int:

@@ -118,7 +118,7 @@ def test_two_processes_do_not_write_one_file(tmp_path):
                 file.write(text)
             with pytest.raises(PlateError, match=r"rows.json is in use, .* another file"):
                 OwnFile(path)
-            assert path.read_text() == text
+            assert not text or path.read_text() == text
     with OwnFile(path) as file:
         assert path.read_text() == "2"
         file.write("3")
@@ -127,13 +127,14 @@ def test_two_processes_do_not_write_one_file(tmp_path):
 
 
 @pytest.mark.parametrize("link", [False, True])
-def test_a_new_file_without_content_is_removed(tmp_path, link):
+def test_a_new_file_appears_with_its_content(tmp_path, link):
+    """So that a killed process leaves no empty file."""
     path = tmp_path / "rows.json"
     if link:
         path.symlink_to(tmp_path / "far.json")
     with OwnFile(path):
-        assert path.exists()
-    assert not path.exists()
+        assert not path.exists()
+    assert not (tmp_path / "far.json").exists()
     path.touch()
     with OwnFile(path):
         pass
@@ -144,8 +145,21 @@ def test_a_file_that_another_process_has_filled_stays(tmp_path, monkeypatch):
     """Between the two steps in which it is examined and opened."""
     path = tmp_path / "rows.json"
     path.write_text("1")
-    monkeypatch.setattr(os.path, "exists", lambda path: False)
-    OwnFile(path).close()
+    found = [False, True]
+    monkeypatch.setattr(os.path, "lexists", lambda path: found.pop(0))
+    with OwnFile(path) as file:
+        assert path.read_text() == "1"
+        file.write("2")
+    assert path.read_text() == "2"
+
+
+def test_a_new_file_that_a_process_without_a_lock_has_made_stays(tmp_path):
+    """Such as a process on another computer."""
+    path = tmp_path / "rows.json"
+    with OwnFile(path) as file:
+        path.write_text("1")
+        with pytest.raises(PlateError, match=r"rows.json is in use"):
+            file.write("2")
     assert path.read_text() == "1"
 
 
