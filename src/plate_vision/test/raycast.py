@@ -7,6 +7,7 @@ with a lens looks at it; one far lamp casts shadows.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -55,16 +56,6 @@ class Look:
         seen, _ = cv2.projectPoints(np.asarray(point, float), turn, middle, self.matrix, None)
         return seen.reshape(-1, 2)
 
-    def places(self):
-        """Return where the rays through the fine points meet the plate (h, w, 2) [m]."""
-        step = (np.arange(FINE) + 0.5) / FINE - 0.5
-        x = (np.arange(SIZE[0])[:, None] + step).ravel()
-        y = (np.arange(SIZE[1])[:, None] + step).ravel()
-        ray = np.stack([*np.meshgrid(x, y), np.ones((len(y), len(x)))], axis=-1)
-        ray = ray @ np.linalg.inv(self.matrix).T @ self.rotation
-        far = -self.place[2] / ray[..., 2]
-        return self.place[:2] + far[..., None] * ray[..., :2]
-
     def rig(self, radius=0.008, height=0.0, calibrated=True):
         """Return the rig that this camera belongs to."""
         corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * HALF
@@ -85,6 +76,21 @@ class Look:
             parts=replace(rig.parts, radius_m=radius, height_m=height),
             camera=camera,
         )
+
+
+@lru_cache(maxsize=2)  # 37 MB each
+def places_of(look):
+    """Return where the rays of a camera through the fine points meet the plate (h, w, 2) [m]. The
+    array must not be changed."""
+    step = (np.arange(FINE) + 0.5) / FINE - 0.5
+    x = (np.arange(SIZE[0])[:, None] + step).ravel()
+    y = (np.arange(SIZE[1])[:, None] + step).ravel()
+    ray = np.stack([*np.meshgrid(x, y), np.ones((len(y), len(x)))], axis=-1)
+    ray = ray @ np.linalg.inv(look.matrix).T @ look.rotation
+    far = -look.place[2] / ray[..., 2]
+    places = look.place[:2] + far[..., None] * ray[..., :2]
+    places.flags.writeable = False
+    return places
 
 
 def cast(
@@ -110,7 +116,7 @@ def cast(
     relative to the part's; `shadow` x, y of its end [m], and the fraction of the light that is
     missing in it, which fades over `soft_px`.
     """
-    places, above = look.places(), look.place
+    places, above = places_of(look), look.place
     colour = np.asarray(colour, float)
     channels = colour.shape[1] if colour.ndim == 2 else 1
     radii = np.broadcast_to(radius, len(position))
