@@ -32,9 +32,13 @@ def test_discs_are_at_the_places_of_the_scene(name):
     assert len(one.position) == DISCS
     lens = one.rig.camera.lens
     rotation, translation = camera_pose(one.rig)
-    place = np.column_stack([one.position, np.zeros(DISCS)])
+    position = np.column_stack([one.position, np.zeros(DISCS)])
     seen = cv2.projectPoints(
-        place, cv2.Rodrigues(rotation)[0], translation, lens.matrix, np.array(lens.distortion[:5])
+        position,
+        cv2.Rodrigues(rotation)[0],
+        translation,
+        lens.matrix,
+        np.array(lens.distortion[:5]),
     )[0][:, 0]
     u, v = np.round(seen).astype(int).T
     image = one.image.astype(float)

@@ -52,7 +52,7 @@ def test_a_fork_is_a_program_of_its_own(start, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("text", "code", "said"),
+    ("text", "code", "last_line"),
     [
         ("#!python\n", 0, ""),
         ("#!python\nraise SystemExit('a reason')\n", 1, "a reason\n"),
@@ -60,10 +60,10 @@ def test_a_fork_is_a_program_of_its_own(start, tmp_path, monkeypatch):
         ("#!python\nimport os, signal\nos.kill(os.getpid(), signal.SIGKILL)\n", -9, ""),
     ],
 )
-def test_its_exit_code_and_last_output_are_reported(start, text, code, said):
+def test_its_exit_code_and_last_output_are_reported(start, text, code, last_line):
     fork, log = start(text)
     assert fork.wait(30) == code
-    assert said in log.read_text()
+    assert last_line in log.read_text()
 
 
 def test_an_exit_code_is_reported_even_if_sigchld_is_ignored(request):

@@ -36,7 +36,7 @@ def _elsewhere(tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())  # it has made nothing
 
 
-def asked(capsys, monkeypatch, program, run):
+def help_text(capsys, monkeypatch, program, run):
     """A program's help. It exits with success, and fits on a screen."""
     monkeypatch.setattr(sys, "argv", [program, "--help"])
     try:
@@ -55,7 +55,7 @@ def test_a_program_of_a_package(capsys, monkeypatch, package, program):
     points = distributions(name=package)
     (point,) = next(points).entry_points.select(group="console_scripts", name=program)
     path = f"/install/{package}/lib/{package}/{program}"
-    text = asked(capsys, monkeypatch, path, point.load())
+    text = help_text(capsys, monkeypatch, path, point.load())
     if point.module.endswith("node"):
         assert f"usage: ros2 run {package} {program} " in text
         assert "publishes " in " ".join(text.split()).lower()
@@ -66,7 +66,7 @@ def test_a_program_of_a_package(capsys, monkeypatch, package, program):
 def test_a_script(capsys, monkeypatch, script):
     path = str(ROOT / script)
     monkeypatch.setattr(sys, "path", [str(Path(path).parent), *sys.path])
-    asked(capsys, monkeypatch, path, lambda: runpy.run_path(path, run_name="__main__") and None)
+    help_text(capsys, monkeypatch, path, lambda: runpy.run_path(path, run_name="__main__") and None)
 
 
 @pytest.mark.parametrize("program", ["calibrate", "teach", "check_rig"])

@@ -39,9 +39,9 @@ def test_a_turn_by_hand():
     out, round_ = (angle * W * np.cos(W * t)) ** 2, angle * W**2 * np.sin(W * t)
     corners = np.max(np.hypot(out, round_)) * np.hypot(0.3, 0.15)
     force = 0.2 / (2 * 0.1**2 + 2 * 0.2**2) * 0.075 * angle * W**2
-    _, _, accel, most = limit_fractions(RIG, wave(theta=angle))
+    _, _, accel, max_force = limit_fractions(RIG, wave(theta=angle))
     assert accel == pytest.approx(corners / 100, rel=1e-4)
-    assert most == pytest.approx(force / 200, rel=1e-4)
+    assert max_force == pytest.approx(force / 200, rel=1e-4)
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -71,11 +71,11 @@ def jump(seconds):
     """A cycle whose velocity changes by 0.5 m/s within `seconds`, and changes back."""
     times = [0.0, 0.01, 0.05, 0.05 + seconds, 0.09, 0.1]
     speed = [0.0, -0.1, -0.1, 0.4, 0.0, 0.0]
-    place = np.concatenate(
+    position = np.concatenate(
         [[0], np.cumsum(np.diff(times) * (np.array(speed[1:]) + speed[:-1]) / 2)]
     )
-    place[-1] = place[-2] = 0.0
-    states = [np.outer(row, [1.0, 0, 0]) for row in (place, speed, np.zeros(6))]
+    position[-1] = position[-2] = 0.0
+    states = [np.outer(row, [1.0, 0, 0]) for row in (position, speed, np.zeros(6))]
     return PlateCycle.from_knots(times, *states)
 
 

@@ -148,7 +148,7 @@ def test_the_demo_does_not_start_if_nobody_can_enable_the_motors(monkeypatch, ca
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (["--camera", "nowhere.mp4"], "nowhere.mp4: no such device or file, allowed: a number or"),
         (["--camera", "/dev/video99"], "/dev/video99: no such device; check that it is plugged in"),
@@ -157,10 +157,10 @@ def test_the_demo_does_not_start_if_nobody_can_enable_the_motors(monkeypatch, ca
     ],
 )
 def test_options_that_exclude_a_camera_are_refused_before_the_start(
-    monkeypatch, capsys, words, said
+    monkeypatch, capsys, words, message
 ):
     monkeypatch.setattr(sys, "argv", ["demo.py", *words])
     assert demo(arguments()) == 2
     output, errors = capsys.readouterr()
     assert "Starting" not in output
-    assert said in errors
+    assert message in errors

@@ -47,9 +47,9 @@ def scene(name, ids, position, angle=0.0, **changes):
 
 @pytest.fixture
 def dropped():
-    place = np.tile([[0.0, 0.0], LEFT], (4, 1, 1))
-    place[2:, 1] = np.nan
-    return scene("sort_10", ("black_1", "grey_2"), place)
+    position = np.tile([[0.0, 0.0], LEFT], (4, 1, 1))
+    position[2:, 1] = np.nan
+    return scene("sort_10", ("black_1", "grey_2"), position)
 
 
 def at(canvas, point):

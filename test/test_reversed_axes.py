@@ -14,8 +14,8 @@ class Reversed(SimulatedScene):
 
     def see(self, image, stamp, expected):
         seen = super().see(image, stamp, None)
-        place, drift = self.signs * seen.position, self.signs * seen.velocity
-        return Parts.make(seen.ids, place, drift, seen.angle, seen.spin)
+        position, drift = self.signs * seen.position, self.signs * seen.velocity
+        return Parts.make(seen.ids, position, drift, seen.angle, seen.spin)
 
 
 @pytest.mark.parametrize("signs", [(-1, 1), (1, -1), (-1, -1)])

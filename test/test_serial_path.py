@@ -113,7 +113,7 @@ def test_upload_takes_a_fraction_of_a_cycle(firmware):
 
 
 @pytest.mark.parametrize(
-    ("damage", "loss", "delay", "least"),
+    ("damage", "loss", "delay", "min_tables"),
     [
         (0.01, 0.0, 0.0, 5),
         (0.0, 0.01, 0.0, 5),
@@ -123,13 +123,13 @@ def test_upload_takes_a_fraction_of_a_cycle(firmware):
         (0.0, 0.0, 0.1, 3),
     ],
 )
-def test_bad_lines(firmware, damage, loss, delay, least):
+def test_bad_lines(firmware, damage, loss, delay, min_tables):
     firmware.damage, firmware.loss, firmware.delay = damage, loss, delay
     transport = enabled(firmware)
     tables = play(firmware, transport, 4.0)
     firmware.check_limits()
     firmware.check_smooth()
-    assert len(tables) >= least, (tables, transport.troubles())
+    assert len(tables) >= min_tables, (tables, transport.troubles())
     assert transport.troubles() == []
     assert firmware.current
     assert [type(m) for m in firmware.said()].count(Hello) < 20

@@ -340,7 +340,7 @@ def test_a_bus_that_is_not_there_is_waited_for(program):
 CYCLE_S = 2e-3
 
 
-def strayed(late_s):
+def late_error(late_s):
     """How far a drive's own setpoint is from where it would be without lateness, RMS and most [m].
 
     The motion is a sinusoid at speed and acceleration of the limits; each SYNC comes by up to
@@ -367,10 +367,10 @@ def strayed(late_s):
 
 def test_a_late_setpoint_causes_an_error_of_speed_times_delay():
     """By which the transport judges how late setpoints may be."""
-    assert strayed(0.0) == (0.0, 0.0)
+    assert late_error(0.0) == (0.0, 0.0)
     for late_s in (1e-4, 1e-3, 5e-3):
-        rms, most = strayed(late_s)
-        assert 0.95 < most / (RIG.limits.speed * late_s) < 1.001
+        rms, max_error = late_error(late_s)
+        assert 0.95 < max_error / (RIG.limits.speed * late_s) < 1.001
         # The mean square of a delay that is even from 0 to `late_s` is a third of its square.
         assert rms == pytest.approx(RIG.limits.speed / np.sqrt(2) * late_s / np.sqrt(3), rel=0.12)
 

@@ -114,22 +114,22 @@ def sent(tables: list[Spliced], first: int = 110) -> tuple[list[bytes], list[int
     return data, commits
 
 
-def told(done: Run) -> list[Telemetry]:
+def telemetry_of(done: Run) -> list[Telemetry]:
     return [p.message for p in done.said if isinstance(p.message, Telemetry)]
 
 
-def begun(done: Run) -> dict[int, int]:
+def table_starts(done: Run) -> dict[int, int]:
     """When each table began to play [10 ns]."""
     return {
         m.table: 100 * m.device_us - m.ticks
-        for m in reversed(told(done))
+        for m in reversed(telemetry_of(done))
         if m.table and m.state is State.PLAYING
     }
 
 
 def assert_played(done: Run, tables: dict[int, Spliced]) -> None:
     """Wherever a table plays, the setpoint is that of its spline."""
-    playing = [m for m in told(done) if m.state is State.PLAYING]
+    playing = [m for m in telemetry_of(done) if m.state is State.PLAYING]
     at = setpoints(done, playing)
     for number in {m.table for m in playing}:
         rows = [m.table == number for m in playing]
@@ -152,11 +152,13 @@ def test_the_next_table_takes_over_at_the_splice(device):
     data, commits = sent(tables)
     done = run(device, *READY, data[0], 0.005, data[1], *alive(0.3))
     assert [done.answers()[commit] for commit in commits] == [Status.DONE] * 2
-    began = begun(done)
+    began = table_starts(done)
     assert began[2] - began[1] == tables[0].splice_ticks
     assert_played(done, dict(enumerate(tables, 1)))
     assert (done.state, done.faults) == (State.READY, Fault.NONE)
-    assert max(m.ticks for m in told(done) if m.table == 2) > tables[1].splice_ticks  # its tail
+    assert (
+        max(m.ticks for m in telemetry_of(done) if m.table == 2) > tables[1].splice_ticks
+    )  # its tail
     assert not done.setpoints[-50:].any()
 
 
@@ -174,11 +176,11 @@ def test_without_one_the_tail_leads_to_rest(device):
     late = table.splice_ticks * 1e-8 + 0.003
     done = run(device, *READY, data[0], late, data[1], *alive(0.4))
     assert done.answers()[commits[1]] is Status.DONE
-    assert begun(done)[2] - begun(done)[1] == table.length
+    assert table_starts(done)[2] - table_starts(done)[1] == table.length
     assert_played(done, {1: table, 2: waits})
     # So does a table that arrives before the splice.
     done = run(device, *READY, data[0], 0.004, data[1], *alive(0.4))
-    assert begun(done)[2] - begun(done)[1] == table.length
+    assert table_starts(done)[2] - table_starts(done)[1] == table.length
 
 
 def nudged(table: Spliced, row: str) -> Spliced:
@@ -202,7 +204,7 @@ def test_a_table_in_motion_begins_at_a_future_splice_or_is_refused(device, case)
     data, commits = sent(tables)
     done = run(device, *READY, data[0], wait, data[1], *alive(0.3))
     assert done.answers()[commits[1]] is Status.JUMP
-    assert 2 not in {m.table for m in told(done)}
+    assert 2 not in {m.table for m in telemetry_of(done)}
     assert (done.state, done.faults) == (State.READY, Fault.NONE)
     assert_played(done, {1: tables[0]})
 
@@ -213,7 +215,7 @@ def test_a_table_without_a_tail_may_follow_too(device):
     data, commits = sent(tables)
     done = run(device, *READY, data[0], 0.005, data[1], *alive(0.3))
     assert done.answers()[commits[1]] is Status.DONE
-    assert begun(done)[2] - begun(done)[1] == first.splice_ticks
+    assert table_starts(done)[2] - table_starts(done)[1] == first.splice_ticks
     assert_played(done, dict(enumerate(tables, 1)))
     assert done.state is State.READY
 
@@ -279,7 +281,7 @@ def test_a_stop_brakes_along_the_tail_and_takes_nothing_over(device):
         done = run(device, *orders, say(300, Stop(0)), *alive(1.0))
         assert (done.state, done.faults) == (State.OFF, Fault.STOPPED)
         assert_smooth(done, tables)
-        braking = [m for m in told(done) if m.state is State.BRAKING and m.table]
+        braking = [m for m in telemetry_of(done) if m.state is State.BRAKING and m.table]
         assert {m.table for m in braking} <= {1, 2}
         assert len({m.table for m in braking}) == 1
         assert np.all(np.diff([m.ticks for m in braking]) >= 0)  # it never begins again
@@ -292,7 +294,7 @@ def test_a_tail_has_its_image_as_a_cycle_has(device, phase):
     ready = [HELLO, say(100, Trigger(int(phase * 2**16), 2)), ENABLE, *HOMEWARD]
     data, _ = sent(tables)
     done = run(device, *ready, data[0], 0.005, data[1], *alive(0.3))
-    began = begun(done)
+    began = table_starts(done)
     parts = [(began[1], tables[0].splice_ticks), (began[2], tables[1].splice_ticks)]
     end = began[2] + tables[1].splice_ticks
     parts.append((end, tables[1].length - tables[1].splice_ticks))
@@ -434,7 +436,7 @@ def checked(story: Story, done: Run) -> Counter:
     seen.update(answers[c].name for c in story.commits.values() if c in answers)
     assert_smooth(done, list(good.values()))
     assert_played(done, good)  # only the accepted ones
-    playing, messages = begun(done), told(done)
+    playing, messages = table_starts(done), telemetry_of(done)
     ready = [(last, m) for last, m in pairwise(messages) if m.state is State.READY]
     rests = setpoints(done, [m for _, m in ready])
     rests = rests[[last.state is State.PLAYING for last, _ in ready]]

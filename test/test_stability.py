@@ -35,9 +35,9 @@ def test_two_parts_are_parted_down_to_the_spacing_of_centres(rig, grid):
 
 @pytest.mark.parametrize("number", [2, 3])
 def test_harmonics_serve_as_many_parts_as_they_have_numbers(rig, number):
-    most = harmonics.max_parts(number)
-    # For one part too many 100 are enough: they solve half of the requests for `most` parts.
-    cases = [(most - 1, 250), (most, 250), (most + 1, 100)]
+    max_parts = harmonics.max_parts(number)
+    # For one part too many 100 are enough: they solve half of the requests for `max_parts` parts.
+    cases = [(max_parts - 1, 250), (max_parts, 250), (max_parts + 1, 100)]
     share = [harmonics.solved_fraction(rig, m, number, 8, restarts) for m, restarts in cases]
     assert share[0] >= 0.6
     assert share[1] > 0

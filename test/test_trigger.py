@@ -40,7 +40,7 @@ def edges(done, high: bool = True) -> np.ndarray:
     return np.array([at for at, level in done.line if level is high])
 
 
-def begun(done) -> int:
+def first_start(done) -> int:
     """The tick in which the first table has begun [us]."""
     moving = np.flatnonzero(done.setpoints[:, 2].any(axis=1))
     return round(done.times[moving[0]] * 1e6) - 1_000
@@ -52,7 +52,7 @@ def test_each_play_has_one_pulse_at_its_phase(device, phase):
     orders = [*ready(phase), upload(1, GENTLE, 110, 3), *alive(0.2)]
     done = run(device, *orders, upload(2, wave(0.002), 210, 3), *alive(0.5))
     assert done.state is State.READY
-    start, period = begun(done), round(PERIOD_S * 1e6)
+    start, period = first_start(done), round(PERIOD_S * 1e6)
     rises = edges(done)
     plays = 6
     due = start + period * (np.arange(plays) + phase)
@@ -114,7 +114,7 @@ def test_images_are_taken_at_half_of_each_cycle_over_a_serial_line(tmp_path):
     file.write_text(yaml.safe_dump(rig, sort_keys=False), encoding="utf-8")
     images, starts = [], []
 
-    def begun(msg: JointTrajectory) -> None:
+    def first_start(msg: JointTrajectory) -> None:
         cycle = msg_to_cycle(msg)
         if cycle.knot_pose.any():
             starts.append((seconds(msg.header.stamp), cycle.period))
@@ -132,7 +132,7 @@ def test_images_are_taken_at_half_of_each_cycle_over_a_serial_line(tmp_path):
             node.create_subscription(
                 Image, "image_raw", lambda msg: images.append(seconds(msg.header.stamp)), IMAGE
             )
-            node.create_subscription(JointTrajectory, "cycle_started", begun, DATA)
+            node.create_subscription(JointTrajectory, "cycle_started", first_start, DATA)
             try:
                 graph.begin()
             except GraphError as error:

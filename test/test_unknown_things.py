@@ -31,20 +31,20 @@ def test_unknown_things_stay_on_the_plate_and_clear_of_its_edge(scenario, monkey
     def update(tracker, stamp, centre, label, *args, **kwargs):
         """Record the detections of an image, without the class of some parts."""
         state, label = world["it"].state, np.array(label, dtype="U32")
-        for name, place in zip(state.ids, state.position, strict=True):
+        for name, position in zip(state.ids, state.position, strict=True):
             if name in world["unknown"]:
-                label[np.argmin(np.hypot(*(centre - place).T))] = "unknown"
+                label[np.argmin(np.hypot(*(centre - position).T))] = "unknown"
         return tracking.update(tracker, stamp, centre, label, *args, **kwargs)
 
     loop_simulation = loop.Simulation
     monkeypatch.setattr(loop, "Simulation", simulation)
     monkeypatch.setattr("plate_vision.vision.update", update)
-    least = np.inf
+    min_gap = np.inf
     for moment in loop.run(loop.Setup(expected, seed=4, effort=FEW_STARTS), rig):
         rows = [moment.world.ids.index(name) for name in world["unknown"]]
         away = rig.plate.half - np.abs(moment.world.position[rows])
-        least = min(least, float(away.min()))
+        min_gap = min(min_gap, float(away.min()))
     assert moment.progress.phase == "done"
     assert f"{MORE} unknown objects are on the plate (unknown_1 at (" in moment.progress.text
     assert moment.world.dropped == 0
-    assert least > rig.edge_margin("unknown").min_m
+    assert min_gap > rig.edge_margin("unknown").min_m

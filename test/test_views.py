@@ -18,17 +18,17 @@ def test_the_camera_is_where_it_is_set(tilt, towards, distortion):
         distortion=distortion,
     )  # fmt: skip
     a, b = np.radians([tilt, towards])
-    place = 0.9 * np.array([np.sin(a) * np.cos(b), np.sin(a) * np.sin(b), np.cos(a)])
-    assert np.allclose(camera_place(rig), place, atol=1e-9)
+    position = 0.9 * np.array([np.sin(a) * np.cos(b), np.sin(a) * np.sin(b), np.cos(a)])
+    assert np.allclose(camera_place(rig), position, atol=1e-9)
     # OpenCV's camera there, whose rows look as its axis x without a part along z of plate_home.
-    ahead = -place / 0.9
+    ahead = -position / 0.9
     right = np.array([1.0, 0, 0]) - ahead[0] * ahead
     right /= np.linalg.norm(right)
     rotation = np.stack([right, np.cross(ahead, right), ahead])
     matrix = np.array([[500, 0, 319.5], [0, 500, 239.5], [0, 0, 1.0]])
     corners = np.column_stack([rig.plate.corners, np.zeros(4)])
     seen = cv2.projectPoints(
-        corners, cv2.Rodrigues(rotation)[0], -rotation @ place, matrix,
+        corners, cv2.Rodrigues(rotation)[0], -rotation @ position, matrix,
         np.array(distortion or np.zeros(5)),
     )[0][:, 0]  # fmt: skip
     assert np.allclose(rig.camera.corners_px, seen, atol=1e-6)

@@ -31,16 +31,16 @@ def forces(rig: Rig, cycle) -> np.ndarray:
 def test_parts_are_sorted_within_force_and_heat(method, effort):
     rig, peak, continuous = load_rig(), 10.0, 5.0
     limits = replace(rig.limits, force=peak, continuous_force=continuous, thermal_time_s=1.0)
-    rig, warm, most, moments = replace(rig, limits=limits), np.zeros(4), 0.0, []
+    rig, warm, max_force, moments = replace(rig, limits=limits), np.zeros(4), 0.0, []
     for moment in run(Setup(with_few("sort_4"), 3, method, effort=effort), rig):
         moments.append(moment)
         force = forces(rig, moment.answer.cycle)
-        most = max(most, float(np.max(np.abs(force))))
+        max_force = max(max_force, float(np.max(np.abs(force))))
         load = np.mean(force**2, axis=0) / continuous**2
         warm = load + (warm - load) * np.exp(-moment.answer.cycle.period / limits.thermal_time_s)
         assert np.max(warm) <= 1
         assert not moment.scaled, "the solver knew better than the driver"
-    assert 0.8 * peak < most <= peak
+    assert 0.8 * peak < max_force <= peak
     assert moments[-1].progress.phase == "done"
     assert moments[-1].world.dropped == 0
 

@@ -109,7 +109,7 @@ class StabilityMap:
     note: str = ""
 
 
-def crossing(place: Sequence[float], value: Sequence[float], level: float) -> float:
+def crossing(position: Sequence[float], value: Sequence[float], level: float) -> float:
     """Return the position at which a curve first crosses a level, by linear interpolation. NaN if
     the curve does not cross the level."""
     above = np.asarray(value, float) >= level
@@ -118,4 +118,4 @@ def crossing(place: Sequence[float], value: Sequence[float], level: float) -> fl
         return float("nan")
     k = crossings[0]
     fraction = (level - value[k]) / (value[k + 1] - value[k])
-    return float(place[k] + fraction * (place[k + 1] - place[k]))
+    return float(position[k] + fraction * (position[k + 1] - position[k]))

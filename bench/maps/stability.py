@@ -38,10 +38,10 @@ def grids(stability_map: StabilityMap, quick: bool, cache: Cache) -> list[Grid]:
 def borders(stability_map: StabilityMap, grid: Grid) -> tuple[list[float], list[float]]:
     """Return y of the measured and of the predicted border for each x. NaN if there is no border at
     this x."""
-    place = np.log(grid.y) if "y" in stability_map.log else np.array(grid.y)
+    position = np.log(grid.y) if "y" in stability_map.log else np.array(grid.y)
     columns = np.array(grid.z, dtype=float).T
     observed = [
-        crossing(place.tolist(), column.tolist(), stability_map.level) for column in columns
+        crossing(position.tolist(), column.tolist(), stability_map.level) for column in columns
     ]
     if "y" in stability_map.log:
         observed = np.exp(observed).tolist()

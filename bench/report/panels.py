@@ -232,7 +232,7 @@ class Panel:
         modes = (("lines", line), ("markers", marker))
         self.traces.append(
             go.Scatter(
-                x=[place[0] for place in positions], y=[place[1] for place in positions], name=name,
+                x=[x for x, _ in positions], y=[y for _, y in positions], name=name,
                 mode="+".join(word for word, on in modes if on),
                 line={"color": colour, "width": 2, "dash": DASHES.get(line, "solid")},
                 marker={
@@ -248,9 +248,9 @@ class Panel:
         )  # fmt: skip
         if in_front:
             self._counted += [
-                place
-                for place, out in zip(positions, empty, strict=True)
-                if None not in place and not out
+                position
+                for position, out in zip(positions, empty, strict=True)
+                if None not in position and not out
             ]
 
     def kinds(

@@ -165,9 +165,9 @@ def vision(rows: list[Row]) -> Drawn:
     }
     scenes = group_rows([r for r in rows if r["rms_px"] is not None], "place", "discs")
     panels = Panels()
-    for (place, discs), scene_rows in sorted(scenes.items()):
+    for (position, discs), scene_rows in sorted(scenes.items()):
         panel = panels.add(
-            f"{discs} discs, {place}", Axis("time for one image, in a loop [ms]", log=True),
+            f"{discs} discs, {position}", Axis("time for one image, in a loop [ms]", log=True),
             Axis("error of the centres, RMS [px]", log=True), "less less",
         )  # fmt: skip
         note = "missed {missed_percent:.0f} %, false {false_percent:.0f} %"

@@ -301,11 +301,11 @@ def draw_scene(kind: Kind, seed: int) -> Scene:
     if kind.typed:
         every = list(real.types.values())
         types = [every[k % len(every)] for k in range(count)]
-        place = random_centres(real, types, rng)
+        position = random_centres(real, types, rng)
         colours = part_colours(types, real.camera.colour)
     else:
         real = replace(real, types={})
-        place = layout(real, count, False, rng)
+        position = layout(real, count, False, rng)
         colours = np.array([kind.greys[k % len(kind.greys)] for k in range(count)])
     light = {"plate": kind.plate, "room": kind.room}
     camera = Camera(real, kind.noise, **light, defocus_px=kind.defocus_px + kind.softer_px)
@@ -317,12 +317,12 @@ def draw_scene(kind: Kind, seed: int) -> Scene:
         more["height"] = np.full(count, kind.height)
     if kind.sizes:
         more["size"] = np.array([kind.sizes[k % len(kind.sizes)] for k in range(count)])
-    begin, path = place, place
+    begin, path = position, position
     if kind.blur_px:
         direction, middle = rng.uniform(0, 2 * np.pi, count), np.array(real.camera.corners_px)
         px_m = float(np.linalg.norm(middle[1] - middle[0]) / real.plate.length_m)
         step = kind.blur_px / px_m * np.stack([np.cos(direction), np.sin(direction)], axis=1)
-        begin, path = place - step / 2, np.stack([place - step / 2, place + step / 2])
+        begin, path = position - step / 2, np.stack([position - step / 2, position + step / 2])
     images = []
     for shot in range(TYPED_SHOTS if kind.typed else SHOTS):
         lighting = replace(kind.lighting, level=kind.levels[min(shot, len(kind.levels) - 1)])
@@ -337,7 +337,7 @@ def draw_scene(kind: Kind, seed: int) -> Scene:
         no_parts = np.zeros((0, 2))
         bare = [sharp.render(no_parts, colours[:0], rng) for _ in range(BARE_IMAGES)]
     known = real if kind.known is None else kind.known(real)
-    return Scene(known, bare, images, place, angle, types)
+    return Scene(known, bare, images, position, angle, types)
 
 
 def random_centres(rig: Rig, types: Sequence[PartType], rng: np.random.Generator) -> np.ndarray:

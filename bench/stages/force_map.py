@@ -50,8 +50,8 @@ def measure(quick: bool) -> Result:
         for name, of in methods.items()
     }
     seconds = 0.5 if quick else 3.0
-    place = rng.uniform(-rig.plate.half, rig.plate.half)[None]
-    single = race({n: partial(of(cases[0][0]), place) for n, of in methods.items()}, seconds)
+    position = rng.uniform(-rig.plate.half, rig.plate.half)[None]
+    single = race({n: partial(of(cases[0][0]), position) for n, of in methods.items()}, seconds)
     rows = batch_rows(cases, truth, seconds)
     rows += [row("one", name, single.median(name), error[name]) for name in methods]
     return Result([Table.of("force_map", rows, count=len(cases))])

@@ -131,7 +131,8 @@ def measured(
     start = simulation.state.position
     # the detector and the simulation name the parts differently, so match them by position
     row_of = {
-        name: int(np.argmin(np.hypot(*(start - place).T))) for name, place in rest.position.items()
+        name: int(np.argmin(np.hypot(*(start - position).T)))
+        for name, position in rest.position.items()
     }
     while measurement.push is not None:
         table, _ = prepare(rig, measurement.push.cycle, round(1e9 * now))

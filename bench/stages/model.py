@@ -77,13 +77,13 @@ class Scene:
         rig, touching, rotates = load_rig(), "touching" in kind, "rotating" in kind
         spacing = 2 * rig.parts.radius_m + 4e-4 if touching else 0.037
         k, columns = np.arange(count), int(np.ceil(np.sqrt(2 * count)))
-        place = spacing * np.column_stack([k % columns, k // columns])
+        position = spacing * np.column_stack([k % columns, k // columns])
         speed = np.random.default_rng(3).normal(0, 0.08 if touching else 0.03, (count, 2))
         ids = tuple(f"black_{i + 1}" for i in k)
         return cls(
             kind, rig_on_flexures(rig) if kind == "suspension" else rig,
             shaking_cycle(ANGLE if rotates else 0.0),
-            replace(WorldState.at_rest(ids, place - place.mean(0)), velocity=speed),
+            replace(WorldState.at_rest(ids, position - position.mean(0)), velocity=speed),
             Contacts(friction=EDGE_FRICTION if touching and rotates else 0.0),
         )  # fmt: skip
 
@@ -107,11 +107,11 @@ class Scene:
     def by_events(self, cycles: int = CYCLES, tolerance: float = 1e-7) -> np.ndarray:
         """Return the final positions (M, 2) [m] of the parts, simulated as points without
         collisions."""
-        place, speed, friction = self.state.position, self.state.velocity, self.rig.friction
+        position, speed, friction = self.state.position, self.state.velocity, self.rig.friction
         for motion in self.motions(cycles):
-            run = simulate(motion, place, speed, friction.mu, friction.gravity, 1, 1, tolerance)
-            place, speed = run.position[-1], run.velocity[-1]
-        return place
+            run = simulate(motion, position, speed, friction.mu, friction.gravity, 1, 1, tolerance)
+            position, speed = run.position[-1], run.velocity[-1]
+        return position
 
     def truth(self) -> np.ndarray:
         """Return the reference positions of the parts after one cycle (M, 2) [m]."""

@@ -92,13 +92,13 @@ class MujocoScene:
 
     def run(self) -> np.ndarray:
         """Simulate `span`. Return positions (M, 2) [m], plate_home."""
-        for place in self.steps():
-            end = place
+        for position in self.steps():
+            end = position
         return np.asarray(self.start + end + self.moved)
 
     def trace(self) -> np.ndarray:
         """Simulate `span`. Return positions in the plate's frame after every step (k, M, 2) [m]."""
-        return np.array([self.start + place for place in self.steps()])
+        return np.array([self.start + position for position in self.steps()])
 
     def steps(self) -> Iterator[np.ndarray]:
         """Simulate `span`. Yield positions in the plate's frame (M, 2) [m] after every step."""

@@ -165,8 +165,8 @@ def cost_rows(quick: bool) -> list[dict[str, Any]]:
     for count in (1, 100) if quick else (1, 3, 10, 30, 100, 300, 1000):
         scene = random_directions(20, count)
         side = int(np.ceil(np.sqrt(count)))
-        place = SPACING_M * (np.arange(side) - 0.5 * (side - 1))
-        grid = np.stack(np.meshgrid(place, place), axis=-1).reshape(-1, 2)[:count]
+        position = SPACING_M * (np.arange(side) - 0.5 * (side - 1))
+        grid = np.stack(np.meshgrid(position, position), axis=-1).reshape(-1, 2)[:count]
         scene = Scene(scene.cycle, grid, 0 * scene.velocity)
         contestants: dict[str, Callable[[], object]] = {
             EVENTS: partial(scene.travel, TOLERANCE),

@@ -55,9 +55,9 @@ def tray_scene(count: int) -> Scene:
     x = np.arange(columns) - 0.5 * (columns - 1)
     y = np.arange(lines) - 0.5 * (lines - 1)
     spacing = min(2 * RADIUS + 1e-3, 1.99 * (HALF[0] - RADIUS) / (columns - 1))
-    place = spacing * np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    speed = np.random.default_rng(1).uniform(-0.3, 0.3, place.shape)
-    return Scene(exact_cycle(20), place, speed)
+    position = spacing * np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    speed = np.random.default_rng(1).uniform(-0.3, 0.3, position.shape)
+    return Scene(exact_cycle(20), position, speed)
 
 
 def simulate_discs(tray: Scene, steps: int, samples: int = 0) -> BodyTrajectory:

@@ -87,8 +87,8 @@ class Driven(Direct):
         push, fade = self._state[1] - slope + rate * behind, np.exp(-rate * dt)
         behind = (behind + push * dt) * fade
         speed = push * fade - rate * behind
-        place = self._target_pose() + behind
-        self._state = np.stack([place, slope + speed, -rate * (2 * speed + rate * behind)])
+        position = self._target_pose() + behind
+        self._state = np.stack([position, slope + speed, -rate * (2 * speed + rate * behind)])
         return self._state
 
 

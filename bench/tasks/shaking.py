@@ -81,14 +81,14 @@ def waveform() -> tuple[np.ndarray, np.ndarray]:
     order = np.arange(1, HARMONICS + 1)
     weight = 2 * (1 - order / (HARMONICS + 1))
     velocity = -weight @ np.cos(order[:, None] * t)
-    place = -(weight / order) @ np.sin(order[:, None] * t) / (2 * np.pi)
-    return place, velocity
+    position = -(weight / order) @ np.sin(order[:, None] * t) / (2 * np.pi)
+    return position, velocity
 
 
 def strongest_cycle(rig: Rig, axis: np.ndarray) -> PlateCycle:
     """Return the strongest cycle that the rig allows along an axis (3,) of the plate's pose."""
-    place, velocity = (1e-3 * wave[:, None] * axis for wave in waveform())
-    cycle = PlateCycle.from_samples(PERIOD_S, place, velocity / PERIOD_S)
+    position, velocity = (1e-3 * wave[:, None] * axis for wave in waveform())
+    cycle = PlateCycle.from_samples(PERIOD_S, position, velocity / PERIOD_S)
     return cycle.scaled(1 / usage(rig, cycle).overall)
 
 
@@ -261,10 +261,10 @@ def random_positions(reach: np.ndarray, half: np.ndarray, rng: np.random.Generat
     """Return random positions (M, 2) [m] of disjoint discs with the radii `reach` (M,) [m], on a
     plate with half side lengths (2,) [m]. A disc for which no free space is found overlaps
     others."""
-    place = np.zeros((len(reach), 2))
+    position = np.zeros((len(reach), 2))
     for i, own_reach in enumerate(reach):
         for _ in range(TRIES):
-            place[i] = (half - own_reach) * rng.uniform(-1, 1, 2)
-            if np.all(np.hypot(*(place[:i] - place[i]).T) >= reach[:i] + own_reach):
+            position[i] = (half - own_reach) * rng.uniform(-1, 1, 2)
+            if np.all(np.hypot(*(position[:i] - position[i]).T) >= reach[:i] + own_reach):
                 break
-    return place
+    return position

@@ -26,9 +26,9 @@ Motion = tuple[np.ndarray, np.ndarray, np.ndarray]
 def limit_fractions(rig: Rig, cycle: PlateCycle) -> np.ndarray:
     """Return the maximum fractions (4,) of stroke, speed, acceleration and force in one cycle."""
     motion, (point, direction) = _motion(cycle, _all_times(cycle)), _motors(rig)
-    place, velocity, _ = _points(motion, point)
+    position, velocity, _ = _points(motion, point)
     values = [
-        _components_along(direction, place - point) / rig.limits.stroke_m,
+        _components_along(direction, position - point) / rig.limits.stroke_m,
         _components_along(direction, velocity) / rig.limits.speed,
         corner_accels(rig, motion) / rig.limits.accel,
         motor_forces(rig, motion) / rig.limits.force,

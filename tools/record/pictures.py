@@ -115,12 +115,12 @@ class Scene:
             ]
         if isinstance(task, AssembleTask):
             places = zip(task.labels, task.place, strict=True)
-            return [(label, self._circle(place)) for label, place in places]
+            return [(label, self._circle(position)) for label, position in places]
         return [
-            (label, self._circle(place))
+            (label, self._circle(position))
             if rig.part_type(label).radius_m
-            else (label, to_home(np.array([*place, angle]), rig.part_type(label).polygon))
-            for label, place, angle in self.poses
+            else (label, to_home(np.array([*position, angle]), rig.part_type(label).polygon))
+            for label, position, angle in self.poses
         ]
 
     def _circle(self, centre: Sequence[float] | np.ndarray) -> np.ndarray:
@@ -144,12 +144,12 @@ class Scene:
         task = self.scenario.task
         free, found = list(range(len(self.labels))), []
         for pose in task.poses if isinstance(task, PoseTask) and not task.anywhere else ():
-            place = np.array(pose.place or (0.0, 0.0))
+            position = np.array(pose.place or (0.0, 0.0))
             if pose.place is None:
                 part = next(k for k in free if self.labels[k] == pose.label)
                 free.remove(part)
-                place = self.until(0.0)[-1, part]
-            found.append((pose.label, place, pose.angle))
+                position = self.until(0.0)[-1, part]
+            found.append((pose.label, position, pose.angle))
         return found
 
     def until(self, t: float) -> np.ndarray:

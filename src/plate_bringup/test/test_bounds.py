@@ -34,12 +34,12 @@ def steady_drift(u, period, cycles=400):
 def test_a_motion_comes_near_the_bound_by_acceleration(ratio):
     """For half of the cycle the plate leads a little, and then it goes back as quickly as it can:
     to just where it was."""
-    period, most, n = 0.2, ratio * A, 4000
-    bound = speed_bounds(shaken(most), period).accel
+    period, max_accel, n = 0.2, ratio * A, 4000
+    bound = speed_bounds(shaken(max_accel), period).accel
     t = (np.arange(n // 2) + 0.5) / n * period
     forward = A * t
-    down = period / 2 * (most + A) / (2 * most)  # the slip's slopes are A - a and A + a
-    back = A * period / 2 - np.minimum(most * t, 2 * most * down - most * t)
+    down = period / 2 * (max_accel + A) / (2 * max_accel)  # the slip's slopes are A - a and A + a
+    back = A * period / 2 - np.minimum(max_accel * t, 2 * max_accel * down - max_accel * t)
     u = np.concatenate([forward, back])
     u += 1e-4 * np.repeat([1, 0], n // 2)
     drift = steady_drift(u - np.mean(u), period)

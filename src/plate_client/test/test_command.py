@@ -107,20 +107,20 @@ def program(make, graph):
     return run
 
 
-def asked(graph, command, *words):
+def run_command(graph, command, *words):
     names = dict(zip(("node", "name", "value"), (*words, None), strict=False))
     return graph.run(argparse.Namespace(command=command, **names))
 
 
 def test_services_and_state(graph):
-    assert asked(graph, "home") == "so it is"
-    assert asked(graph, "enable") == "so it is"
+    assert run_command(graph, "home") == "so it is"
+    assert run_command(graph, "enable") == "so it is"
     with pytest.raises(PlateError, match="so it is"):  # refused, with the reason
-        asked(graph, "disable")
+        run_command(graph, "disable")
     with pytest.raises(PlateError, match="no service stop; running nodes: talker"):
-        asked(graph, "stop")
+        run_command(graph, "stop")
     assert not list(graph.node.clients)
-    assert asked(graph, "state").splitlines() == [
+    assert run_command(graph, "state").splitlines() == [
         "driver_status: no message",
         "task_status: idle",
     ]
@@ -147,10 +147,10 @@ def test_enable_waits_until_the_motors_are_ready(make, view, clock, ends):
     node.create_timer(0.2, lambda: statuses.publish(due.pop(0)) if due else None, clock=clock.clock)
     graph = view(NAMESPACE)
     if ends == "ready":
-        assert asked(graph, "enable") == "ready"
+        assert run_command(graph, "enable") == "ready"
     else:
         with pytest.raises(PlateError, match="not enabled; driver_status: stopped: supply"):
-            asked(graph, "enable")
+            run_command(graph, "enable")
     assert not [*graph.node.subscriptions, *graph.node.clients]
 
 
@@ -175,7 +175,7 @@ def test_slashes_around_a_namespace_do_not_matter(view, before, after):
 
 
 def test_state_while_nodes_start(graph, starting):
-    assert asked(graph, "state").splitlines()[2:] == [
+    assert run_command(graph, "state").splitlines()[2:] == [
         "some nodes have sent no message; other nodes may wait for them",
         "  mute: no message yet: the node is starting, or it hangs",
         "  solver: WARN, waiting",
@@ -194,9 +194,9 @@ def test_the_cause_of_a_waiting_goal_is_reported(graph, clock, capsys):
 
 
 def test_parameters(graph):
-    assert asked(graph, "get", "talker", "seed") == "3"
-    assert asked(graph, "set", "talker", "gain", "1") == "talker gain: 0.5 -> 1.0"
-    lines = asked(graph, "params").splitlines()
+    assert run_command(graph, "get", "talker", "seed") == "3"
+    assert run_command(graph, "set", "talker", "gain", "1") == "talker gain: 0.5 -> 1.0"
+    lines = run_command(graph, "params").splitlines()
     assert lines[0] == "talker"
     assert "  gain                 1.0            How much [-] (0.0 to 1.0)" in lines
     assert "  seed                 3              Of the noise (0 to 9) [fixed]" in lines
@@ -221,7 +221,7 @@ def test_parameters(graph):
 )
 def test_invalid_parameters_are_refused(graph, words, message):
     with pytest.raises(PlateError, match=message):
-        asked(graph, "set", *words)
+        run_command(graph, "set", *words)
 
 
 @pytest.mark.parametrize("command", ["disable", "emergency_stop"])
@@ -234,7 +234,7 @@ def test_an_urgent_command_waits_for_the_discovery_of_a_node(view, monkeypatch, 
 
     monkeypatch.setattr(alone, "_until", until)
     with pytest.raises(PlateError, match=r"no graph runs.*; cut the power by hand$"):
-        asked(alone, command)
+        run_command(alone, command)
     assert seen == [True, False]  # ends after the longer wait, not because no node is visible
 
 
@@ -250,9 +250,9 @@ def test_a_lost_reply_is_requested_again_if_that_is_harmless(graph, monkeypatch,
     if calls == 1:
         monkeypatch.setattr(services, "ANSWER_S", 0.1)
         with pytest.raises(PlateError, match="home does not answer"):
-            asked(graph, command)
+            run_command(graph, command)
     else:
-        assert asked(graph, command) == "so it is"
+        assert run_command(graph, command) == "so it is"
     assert len(sent) == calls
 
 
@@ -271,7 +271,7 @@ def test_nobody_is_there(graph, view):
     alone = view("/nowhere")
     for command in ("home", "state", "params", "cancel", "set"):
         with pytest.raises(PlateError, match="no graph runs in ROS domain") as refused:
-            asked(alone, command)
+            run_command(alone, command)
         assert "cut the power" not in str(refused.value)  # nothing was to be stopped
     assert int(os.environ.get("ROS_DOMAIN_ID", "0")) in domains_in_use()
 

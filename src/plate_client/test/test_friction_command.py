@@ -62,10 +62,10 @@ def progress(graph):
 @pytest.mark.parametrize("later", [lambda graph: None, lambda g: g.receive("driver_status", READY)])
 def test_a_driver_that_measures_no_longer_is_reported_within_seconds(later, capsys):
     """A driver that has ended, and one that was restarted."""
-    begun = 30
+    start_round = 30
 
     def script(graph):
-        if graph.rounds < begun:
+        if graph.rounds < start_round:
             graph.receive("driver_status", MEASURES)
         else:
             later(graph)
@@ -73,7 +73,7 @@ def test_a_driver_that_measures_no_longer_is_reported_within_seconds(later, caps
     graph, ended = ran(script)
     assert "the driver has reported no measurement for 2 s" in str(ended)
     assert "Check whether the plate" in str(ended)
-    assert begun < graph.rounds < begun + 15  # of 0.2 s
+    assert start_round < graph.rounds < start_round + 15  # of 0.2 s
     assert graph.calls == [True, False]
     assert "canceling the measurement" in capsys.readouterr().out
 

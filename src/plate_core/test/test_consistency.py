@@ -167,8 +167,8 @@ def test_sinusoids_by_hand():
     assert max_sinusoid(weak, "y", 40.0).accel == pytest.approx(10.0)
     assert max_sinusoid(weak, "y", 40.0).limit.startswith("force_n of motor_")
     turned = max_sinusoid(weak, "theta", 40.0)  # 0.075 kg m2, levers 0.1, 0.1, 0.2, 0.2 m
-    most = 10.0 * 0.1 / 0.2 / 0.075
-    assert turned.accel == pytest.approx(most * np.hypot(0.3, 0.15))
+    maximum = 10.0 * 0.1 / 0.2 / 0.075
+    assert turned.accel == pytest.approx(maximum * np.hypot(0.3, 0.15))
 
 
 @pytest.fixture(name="check_rig")

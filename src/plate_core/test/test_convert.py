@@ -205,8 +205,8 @@ def test_driver_status_there_and_back():
 
 @pytest.mark.parametrize("name", ["state", "reason"])
 def test_a_wrong_driver_status_is_refused(name):
-    most = {"state": 8, "reason": 19}[name]
-    with pytest.raises(PlateError, match=f"driver_status: {name} is 200, allowed: 0 to {most}"):
+    maximum = {"state": 8, "reason": 19}[name]
+    with pytest.raises(PlateError, match=f"driver_status: {name} is 200, allowed: 0 to {maximum}"):
         convert.msg_to_driver_status(DriverStatusMsg(**{name: 200}))
 
 
@@ -339,8 +339,8 @@ def test_wrong_parts(change, message):
 def test_camera_info_projects_points_to_their_pixels():
     """Judged by OpenCV, from nothing but the message and the plate's corners in the image."""
     lens = Lens((900.0, 910.0), (315.0, 244.0), (-0.3, 0.1, 1e-3, -1e-3, 0.02))
-    rotation, place = cv2.Rodrigues(np.array([3.09, 0.02, 0.01]))[0], np.array([0.01, 0.0, 0.92])
-    rays = (np.column_stack([RIG.plate.corners, np.zeros(4)]) @ rotation.T) + place
+    rotation, position = cv2.Rodrigues(np.array([3.09, 0.02, 0.01]))[0], np.array([0.01, 0.0, 0.92])
+    rays = (np.column_stack([RIG.plate.corners, np.zeros(4)]) @ rotation.T) + position
     corners = lens.bend(lens.focal_px * (rays[:, :2] / rays[:, 2:]) + lens.centre_px)
     camera = replace(RIG.camera, lens=lens, corners_px=tuple(map(tuple, corners.tolist())))
     info = convert.camera_to_info(camera, Header(frame_id="camera"))
@@ -349,10 +349,10 @@ def test_camera_info_projects_points_to_their_pixels():
     k, d, p = np.reshape(info.k, (3, 3)), np.array(info.d), np.reshape(info.p, (3, 4))
     point = np.random.default_rng(0).uniform(-1, 1, (50, 2)) * RIG.plate.half
     there = np.column_stack([point, np.zeros(50)])
-    seen = cv2.projectPoints(there, cv2.Rodrigues(rotation)[0], place, k, d)[0][:, 0]
+    seen = cv2.projectPoints(there, cv2.Rodrigues(rotation)[0], position, k, d)[0][:, 0]
     assert np.allclose(to_image(replace(RIG, camera=camera), point), seen, atol=1e-6)
     assert np.array_equal(np.reshape(info.r, (3, 3)), np.eye(3))
-    straight = (there @ rotation.T + place) @ p[:, :3].T + p[:, 3]
+    straight = (there @ rotation.T + position) @ p[:, :3].T + p[:, 3]
     assert np.allclose(straight[:, :2] / straight[:, 2:], lens.straighten(seen), atol=1e-6)
 
 

@@ -135,8 +135,8 @@ def test_gaps_of_outlines_are_those_of_fine_samples():
     labels = [str(rng.choice(["bar", "nut", "bracket", "washer"])) for _ in range(14)]
     ids = tuple(f"{label}_{k}" for k, label in enumerate(labels))
     grid = np.stack(np.meshgrid(np.arange(5), np.arange(3)), -1).reshape(-1, 2)[:14]
-    place = 0.034 * (grid - 1.0) + rng.uniform(-2e-3, 2e-3, (14, 2))
-    parts = Parts.make(ids, place, angle=rng.uniform(-3, 3, 14))
+    position = 0.034 * (grid - 1.0) + rng.uniform(-2e-3, 2e-3, (14, 2))
+    parts = Parts.make(ids, position, angle=rng.uniform(-3, 3, 14))
     outlines = []
     for k, label in enumerate(labels):
         corner = SHAPES.part_type(label).polygon
@@ -145,7 +145,7 @@ def test_gaps_of_outlines_are_those_of_fine_samples():
                                for a, b in zip(corner, after, strict=True)])  # fmt: skip
         turn, cos, sin = parts.angle[k], np.cos(parts.angle[k]), np.sin(parts.angle[k])
         assert np.isfinite(turn)
-        outlines.append(fine @ np.array([[cos, sin], [-sin, cos]]) + place[k])
+        outlines.append(fine @ np.array([[cos, sin], [-sin, cos]]) + position[k])
     gap = free_gap(parts, SHAPES)
     for k in range(14):
         other = np.concatenate([o for j, o in enumerate(outlines) if j != k])
@@ -160,9 +160,9 @@ def test_parts_that_overlap_have_no_gap():
 
 def test_ready_is_in_the_window_turned_and_alone():
     pick = Pick("bar", 1, (0.0, -0.1), (0.2, 0.1), 0.0, math.radians(5))
-    place = np.array([[0.05, 0], [0.15, 0], [0.1, 0.08], [-0.1, 0], [0.1, -0.07], [0.1, -0.085]])
+    position = np.array([[0.05, 0], [0.15, 0], [0.1, 0.08], [-0.1, 0], [0.1, -0.07], [0.1, -0.085]])
     parts = Parts.make(
-        tuple(f"bar_{k}" for k in range(6)), place, angle=np.radians([3, 90, 179, 0, 0, 0])
+        tuple(f"bar_{k}" for k in range(6)), position, angle=np.radians([3, 90, 179, 0, 0, 0])
     )
     ready = ready_parts(parts, pick, 0.006, SHAPES)
     assert ready.tolist() == [True, False, True, False, False, False]

@@ -44,13 +44,13 @@ def _pixels():
     return np.random.default_rng(0).uniform([0, 0], [640, 480], (300, 2))
 
 
-def through_opencv(lens, points, turn, place):
+def through_opencv(lens, points, turn, position):
     """Where OpenCV sees points (n, 3) [m]."""
     values = np.array(lens.distortion)
     if lens.model == "equidistant":
-        seen = cv2.fisheye.projectPoints(points[:, None], turn, place, lens.matrix, values)
+        seen = cv2.fisheye.projectPoints(points[:, None], turn, position, lens.matrix, values)
     else:
-        seen = cv2.projectPoints(points, turn, place, lens.matrix, values)
+        seen = cv2.projectPoints(points, turn, position, lens.matrix, values)
     return seen[0].reshape(-1, 2)
 
 
@@ -230,8 +230,8 @@ def rig_seen_from(tilt_deg, about_deg, height=0.8, focal=900.0, roll_deg=3.0, **
     straight above towards a direction; corners by OpenCV's projection."""
     rig, (tilt, about, roll) = load_rig(), np.radians([tilt_deg, about_deg, roll_deg])
     reach = height * np.tan(tilt)
-    place = np.array([reach * np.cos(about), reach * np.sin(about), height])
-    ahead = -place / np.linalg.norm(place)
+    position = np.array([reach * np.cos(about), reach * np.sin(about), height])
+    ahead = -position / np.linalg.norm(position)
     right = np.array([np.cos(roll), np.sin(roll), 0.0])
     right -= ahead * (right @ ahead)
     right /= np.linalg.norm(right)
@@ -239,34 +239,34 @@ def rig_seen_from(tilt_deg, about_deg, height=0.8, focal=900.0, roll_deg=3.0, **
     matrix = np.array([[focal, 0, 319.5], [0, focal, 239.5], [0, 0, 1]])
     corners = np.column_stack([rig.plate.corners, np.zeros(4)])
     vector = cv2.Rodrigues(rotation)[0]
-    seen = cv2.projectPoints(corners, vector, -rotation @ place, matrix, np.zeros(5))[0][:, 0]
+    seen = cv2.projectPoints(corners, vector, -rotation @ position, matrix, np.zeros(5))[0][:, 0]
     corners_px = tuple(map(tuple, seen.tolist()))
     changed = replace(rig.camera, **({"corners_px": corners_px, "lens": None} | camera))
-    return replace(rig, camera=changed), place, matrix
+    return replace(rig, camera=changed), position, matrix
 
 
 @pytest.mark.parametrize("lens", LENSES)
 def test_place_with_a_lens(lens):
     """The centre of projection is -R^T t of OpenCV's pose."""
-    place = camera_place(rig_with(lens))
-    assert np.allclose(place, -cv2.Rodrigues(TURN)[0].T @ PLACE, atol=1e-9)
+    position = camera_place(rig_with(lens))
+    assert np.allclose(position, -cv2.Rodrigues(TURN)[0].T @ PLACE, atol=1e-9)
 
 
 @pytest.mark.parametrize("about", [0, 50, 90, 200])
 @pytest.mark.parametrize("tilt", [0, 1, 15, 30, 44])
 def test_place_by_height_alone(tilt, about):
-    rig, place, _ = rig_seen_from(tilt, about, height_m=0.8)
-    assert np.allclose(camera_place(rig), place, atol=1e-6)
+    rig, position, _ = rig_seen_from(tilt, about, height_m=0.8)
+    assert np.allclose(camera_place(rig), position, atol=1e-6)
 
 
 @pytest.mark.parametrize("about", [0, 50, 90, 200])
 @pytest.mark.parametrize("tilt", [25, 35, 55])
 def test_place_by_perspective_alone(tilt, about):
-    rig, place, _ = rig_seen_from(tilt, about)
-    assert np.allclose(camera_place(rig), place, atol=1e-6)
+    rig, position, _ = rig_seen_from(tilt, about)
+    assert np.allclose(camera_place(rig), position, atol=1e-6)
     lens = Lens((900.0, 900.0), (319.5, 239.5))
     known = replace(rig, camera=replace(rig.camera, lens=lens))
-    assert np.allclose(camera_place(known), place, atol=1e-9)
+    assert np.allclose(camera_place(known), position, atol=1e-9)
 
 
 @pytest.mark.parametrize(("tilt", "height"), [(0, 0.8), (4, 0.8), (10, 5.0)])

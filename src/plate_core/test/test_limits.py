@@ -109,15 +109,15 @@ def uneven_cycle(seed: int) -> PlateCycle:
 
 def by_roots(times: np.ndarray, states: list[np.ndarray], order: int) -> float:
     """Greatest magnitude of a derivative of all motors' quintics, at ends and stationary points."""
-    most = 0.0
+    maximum = 0.0
     for piece, step in zip(quintic_pieces(times, *states), np.diff(times), strict=True):
         for column in piece.T:
             p = np.polynomial.Polynomial(column).deriv(order)
             turn = p.deriv().roots()
             real = turn.real[np.abs(turn.imag) < 1e-9]
             t = np.concatenate([[0, step], real[(real > 0) & (real < step)]])
-            most = max(most, float(np.max(np.abs(p(t)))))
-    return most
+            maximum = max(maximum, float(np.max(np.abs(p(t)))))
+    return maximum
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -132,13 +132,13 @@ def _orphan():
     """A node whose parent was killed: its pid, and the pipe of its output."""
     pids, files = [], contextlib.ExitStack()
 
-    def orphan(program, heard, *words):
+    def orphan(program, first_line, *words):
         starter = subprocess.Popen(
             [sys.executable, "-c", STARTER, "-c", program, *words],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
         )  # fmt: skip
         pids.append(int(starter.stdout.readline().split()[1]))
-        while starter.stdout.readline() != f"{heard}\n":
+        while starter.stdout.readline() != f"{first_line}\n":
             pass
         files.enter_context(starter.stdout)
         files.enter_context(starter.stdin)
@@ -154,12 +154,12 @@ def _orphan():
 
 
 @pytest.mark.parametrize(
-    ("program", "heard", "last"),
+    ("program", "first_line", "last"),
     [(NODE, "ready", "last words, ROS works: True\n"), (LIFECYCLE, "tick", "at rest\n")],
     ids=["node", "lifecycle"],
 )
-def test_a_node_ends_with_the_process_that_started_it(orphan, program, heard, last):
-    _, output = orphan(program, heard)
+def test_a_node_ends_with_the_process_that_started_it(orphan, program, first_line, last):
+    _, output = orphan(program, first_line)
     assert output.read().endswith(last)  # until no process has the pipe open
 
 

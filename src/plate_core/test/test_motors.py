@@ -44,11 +44,11 @@ def test_force_for_an_acceleration_against_a_linear_programme(seed):
     rows = [
         np.column_stack([normal, normal @ [-y, x]]) for x, y in rig.plate.corners
     ]  # of a + theta'' J r
-    for most, row in zip(
+    for maximum, row in zip(
         force_per_accel(rig.motor_loads[2], rig.plate.half), rig.motor_loads[2], strict=True
     ):
         best = linprog(-row, np.vstack(rows), np.ones(4 * 360), bounds=(None, None))
-        assert most == pytest.approx(-best.fun, rel=1e-4)
+        assert maximum == pytest.approx(-best.fun, rel=1e-4)
 
 
 @pytest.mark.parametrize("seed", range(6))

@@ -13,7 +13,7 @@ ENV_SH = "/elsewhere/config/fastdds.xml"
 
 
 @pytest.mark.parametrize(
-    ("given", "profile", "told"),
+    ("given", "profile", "warning"),
     [
         ({}, "fastdds.xml", ""),
         ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF"}, "fastdds.xml", ""),
@@ -26,10 +26,10 @@ ENV_SH = "/elsewhere/config/fastdds.xml"
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("before", [{}, {"FASTRTPS_DEFAULT_PROFILES_FILE": ENV_SH}])
-def test_only_a_request_opens_the_network(given, profile, told, before):
+def test_only_a_request_opens_the_network(given, profile, warning, before):
     environ = given | before
-    assert choose_network(environ).startswith(told)
-    assert bool(choose_network(environ)) == bool(told)
+    assert choose_network(environ).startswith(warning)
+    assert bool(choose_network(environ)) == bool(warning)
     assert Path(environ["FASTRTPS_DEFAULT_PROFILES_FILE"]).name == profile
     assert environ["FASTRTPS_DEFAULT_PROFILES_FILE"] != ENV_SH
     assert environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == given.get(

@@ -51,10 +51,10 @@ def test_it_is_over_once_one_has_ended():
     assert not monitor.has_two(5.0)
 
 
-def accepted(*came):
+def accepted(*arrivals):
     """Whether each message, given by number and time, is accepted."""
     monitor = PublisherMonitor()
-    return [monitor.accepts(number, at) for number, at in came]
+    return [monitor.accepts(number, at) for number, at in arrivals]
 
 
 def test_messages_of_a_second_publisher_are_not_accepted():

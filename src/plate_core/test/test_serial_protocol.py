@@ -104,12 +104,12 @@ def test_examples_show_all():
 
 
 @pytest.mark.parametrize(
-    ("said", "text"), list(zip(SAID, [t for _, t in EXAMPLES], strict=True)), ids=str
+    ("example", "text"), list(zip(SAID, [t for _, t in EXAMPLES], strict=True)), ids=str
 )
-def test_bytes_are_those_of_the_examples(said, text):
+def test_bytes_are_those_of_the_examples(example, text):
     data = bytes.fromhex(text)
-    assert frame(pack(said)) == data
-    assert parse(unframe(data[:-1])) == said
+    assert frame(pack(example)) == data
+    assert parse(unframe(data[:-1])) == example
 
 
 def test_cobs_of_zeros():
@@ -165,14 +165,14 @@ def test_round_trip(packet):
 
 
 @given(st.lists(packets, max_size=5), st.data())
-def test_stream_may_be_split_anywhere(said, data):
-    stream = b"\0" + b"".join(frame(pack(p)) for p in said)
+def test_stream_may_be_split_anywhere(example, data):
+    stream = b"\0" + b"".join(frame(pack(p)) for p in example)
     cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=6)))
     reader, received = Reader(), []
     for a, b in zip([0, *cuts], [*cuts, len(stream)], strict=True):
         reader, found = reader.fed(stream[a:b])
         received += [parse(packet) for packet in found]
-    assert received == said
+    assert received == example
     assert reader == Reader()
 
 

@@ -12,7 +12,7 @@ PERIOD, EACH_S, OFFSET_S = 0.2, 0.01, 5.0  # of a cycle; between telemetries; of
 TABLE = SimpleNamespace(cycle=SimpleNamespace(period=PERIOD), length=PERIOD)
 
 
-def told(telemetry):
+def reported_starts(telemetry):
     """Starts (K,) reported from telemetry (time, table, ticks), and the message about them."""
     starts, begins, problems = CycleStarts(0.0), [], []
     for time, table, ticks in telemetry:
@@ -38,7 +38,7 @@ def plays(ticks=lambda true, time: true, lost=0.0):
 
 @pytest.mark.parametrize("lost", [0.0, 0.5, 0.9])
 def test_every_start_of_a_true_device_is_reported_once(lost):
-    begins, problems = told(plays(lost=lost))
+    begins, problems = reported_starts(plays(lost=lost))
     assert problems == []
     moving = begins[begins > 0.99]
     plays_of = (moving - 1.0) / PERIOD
@@ -51,7 +51,7 @@ def test_every_start_of_a_true_device_is_reported_once(lost):
 
 
 @pytest.mark.parametrize(
-    "lie",
+    "wrong_ticks",
     [
         lambda true, time: 0.05,  # frozen
         lambda true, time: 0.0,
@@ -62,8 +62,8 @@ def test_every_start_of_a_true_device_is_reported_once(lost):
     ],
     ids=["frozen", "zero", "backwards", "seconds", "twice", "random"],
 )
-def test_no_start_is_reported_for_impossible_ticks(lie):
-    begins, problems = told(plays(lie))
+def test_no_start_is_reported_for_impossible_ticks(wrong_ticks):
+    begins, problems = reported_starts(plays(wrong_ticks))
     assert len(problems) > 100
     wrong = [began for began in begins if began > 1.01 and abs((began - 1) % PERIOD) > 0.01]
     # Where the first telemetry of a play happens to be possible it cannot be known.
@@ -84,7 +84,7 @@ def test_ticks_that_run_fast_or_slow_are_found(rate, lost):
             table = 0 if ticks < 0 else 1 + int(ticks / PERIOD)
             yield time, table, ticks % PERIOD if table else 0.0
 
-    _, problems = told(telemetry())
+    _, problems = reported_starts(telemetry())
     assert problems
     if rate in (0.8, 1.2):
         assert len(problems) > 5
@@ -94,7 +94,7 @@ def test_a_jump_is_not_reported_and_later_starts_are():
     def late(true, time):
         return true + 0.05 * (1.65 < time < 1.73)
 
-    begins, problems = told(plays(late))
+    begins, problems = reported_starts(plays(late))
     assert len(problems) == 2
     moving = begins[begins > 0.99]
     np.testing.assert_allclose((moving - 1.0 + 1e-9) % PERIOD, 0.0, atol=1e-6)

@@ -54,7 +54,7 @@ def conversation(way, device, seconds, rng):
             yield polls[poll], stamp if host_ns is None else Pulse(host_ns, stamp)
 
 
-def heard(clock, now, message):
+def after_message(clock, now, message):
     if isinstance(message, Pulse):
         return clock.received(message, now)
     return clock.stamped(message, now)
@@ -82,7 +82,7 @@ def test_no_true_clock_is_doubted(way):
 
         clock = DeviceClock()
         for now, message in conversation(way, device, 2.0, rng):
-            clock = heard(clock, now, message)
+            clock = after_message(clock, now, message)
             assert not clock.problem, (clock, now)
         if clock.known:
             assert clock.rejection(now) == ""
@@ -129,7 +129,7 @@ def test_each_lie_is_found_within_two_seconds(way, far_s, name):
         rng = np.random.default_rng(seed)
         clock, found, broken = DeviceClock(), None, None
         for now, message in conversation(way, LIES[name], 7.0, rng):
-            clock = heard(clock, now, message)
+            clock = after_message(clock, now, message)
             if clock.problem and found is None:
                 found = now
                 assert clock.problem.startswith("the device's clock ")

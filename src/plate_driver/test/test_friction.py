@@ -210,8 +210,8 @@ def test_parts_that_touch_after_a_push_end_it():
 
 def test_the_greatest_acceleration_is_within_the_limits():
     for rig in (RIG, load_rig("desk"), load_rig("voice_coils")):
-        most = max_accel(rig, 0.3)
-        assert 0.5 < usage(rig, make_push(rig, 0, 1, most, 0.3).cycle).overall < 1
+        maximum = max_accel(rig, 0.3)
+        assert 0.5 < usage(rig, make_push(rig, 0, 1, maximum, 0.3).cycle).overall < 1
 
 
 def test_the_rig_files_mu_is_that_of_parts_without_one_of_their_own():

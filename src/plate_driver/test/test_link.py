@@ -47,11 +47,11 @@ WRONG_DEVICE, DEVICE_RESET, NO_ANSWER = (
 KNOTS = [Knot(i, REST, REST, REST) for i in range(49)]
 
 
-def gone(reason: DriverReason, text: str) -> Report:
+def gone_report(reason: DriverReason, text: str) -> Report:
     return Report(Condition.GONE, reason, text)
 
 
-def told(state: State, faults: Fault = Fault.NONE, waiting: int = 0, stop: int = 77) -> Packet:
+def telemetry(state: State, faults: Fault = Fault.NONE, waiting: int = 0, stop: int = 77) -> Packet:
     return Packet(0, Telemetry(0, state, faults, stop, 0, 0, waiting, 0, REST, REST, 0.0, 0.0, 0.0))
 
 
@@ -64,14 +64,14 @@ def capabilities(**changes) -> Packet:
     return Packet(0, Capabilities(**(values | changes)))
 
 
-def met(state: State = State.READY, baud: float = float("inf")) -> Link:
+def connected(state: State = State.READY, baud: float = float("inf")) -> Link:
     """A link of a line without delay, that has had its first pulse."""
     link, _ = Link.connecting(5, 0.0, baud).due(0.0)
-    link = link.received(capabilities(), 0.0).received(told(state), 0.0)
+    link = link.received(capabilities(), 0.0).received(telemetry(state), 0.0)
     return link.received(Packet(0, Pulse(0, 0)), 0.0)
 
 
-def said(packets: list[Packet]) -> list[Message]:
+def messages_in(packets: list[Packet]) -> list[Message]:
     return [p.message for p in packets if not isinstance(p.message, Heartbeat)]
 
 
@@ -94,53 +94,53 @@ def test_hello_is_repeated_and_given_up():
     assert waits[GREETING_TRIES:] == pytest.approx(
         [LATER_GREETING_S] * len(waits[GREETING_TRIES:]), abs=2e-3
     )
-    assert link.failed == gone(NO_ANSWER, "device does not answer Hello")
+    assert link.failed == gone_report(NO_ANSWER, "device does not answer Hello")
     assert now == pytest.approx(GREETING_S, abs=0.2)
     assert link.due(now)[1] == []
 
 
 def test_order_of_an_upload():
-    link, first = met().uploading(3, KNOTS, 5).due(0.01)
-    assert [type(m) for m in said(first)] == [Begin]
+    link, first = connected().uploading(3, KNOTS, 5).due(0.01)
+    assert [type(m) for m in messages_in(first)] == [Begin]
     link, packets = link.due(0.015)
-    assert said(packets) == []  # not before it is answered
+    assert messages_in(packets) == []  # not before it is answered
     link = done(link, first, 0.02)
     link, some = link.due(0.02)
-    assert len(said(some)) == 8  # the device's window
+    assert len(messages_in(some)) == 8  # the device's window
     link, rest = link.due(0.025)
     knots = some + rest
-    assert [k for m in said(knots) for k in m.knots] == KNOTS
+    assert [k for m in messages_in(knots) for k in m.knots] == KNOTS
     link, last = done(link, knots, 0.03).due(0.03)
-    assert said(last) == [Commit(3, 5)]
+    assert messages_in(last) == [Commit(3, 5)]
     link = done(link, last, 0.035)
     # The next one does not wait until this one plays, unless it goes on from there in motion.
-    assert [m.table for m in said(link.uploading(4, KNOTS, 5).due(0.035)[1])] == [4]
+    assert [m.table for m in messages_in(link.uploading(4, KNOTS, 5).due(0.035)[1])] == [4]
     link = link.uploading(4, KNOTS, 5, follows=3)
-    assert said(link.due(0.035)[1]) == []
-    link = link.received(told(State.PLAYING, waiting=3), 0.04)
-    assert said(link.due(0.04)[1]) == []
-    link, packets = link.received(told(State.PLAYING), 0.05).due(0.05)
-    assert [m.table for m in said(packets)] == [4]
+    assert messages_in(link.due(0.035)[1]) == []
+    link = link.received(telemetry(State.PLAYING, waiting=3), 0.04)
+    assert messages_in(link.due(0.04)[1]) == []
+    link, packets = link.received(telemetry(State.PLAYING), 0.05).due(0.05)
+    assert [m.table for m in messages_in(packets)] == [4]
 
 
 def test_no_more_is_on_its_way_than_the_device_can_hold():
     """With a round trip of 0.2 s it takes 0.1 s until the first of them is there."""
-    slow = met().received(Packet(0, Pulse(0, 0)), 0.2)
+    slow = connected().received(Packet(0, Pulse(0, 0)), 0.2)
     slow = replace(slow, line=replace(slow.line, trip_s=0.2, deviation_s=0.0, beats=()))
     link, first = slow.uploading(3, KNOTS, 5).due(0.2)
     link, some = done(link, first, 0.4).due(0.4)
-    assert len(said(some)) == 8  # the window
+    assert len(messages_in(some)) == 8  # the window
     link, none = link.due(0.49)
-    assert said(none) == []
+    assert messages_in(none) == []
     link, rest = link.due(0.51)
-    assert len(said(rest)) == 5
+    assert len(messages_in(rest)) == 5
     assert link.retries == 0
 
 
 def test_messages_are_sent_at_the_speed_of_the_line():
     """Never more on the line than some milliseconds, and a frame; all of it goes out in time."""
     baud = 115_200.0
-    link, first = met(baud=baud).uploading(3, KNOTS, 5).due(0.0)
+    link, first = connected(baud=baud).uploading(3, KNOTS, 5).due(0.0)
     link = done(link, first, 0.01)
     now, sent, free_at = 0.01, 0, 0.0
     while any(isinstance(p.message, Knots) for p in link.queue) and now < 2:
@@ -159,33 +159,33 @@ def test_messages_are_sent_at_the_speed_of_the_line():
 
 
 def test_on_a_slow_line_what_waits_its_turn_is_not_repeated():
-    link = met(baud=9600.0).uploading(3, KNOTS[:2], 5)
+    link = connected(baud=9600.0).uploading(3, KNOTS[:2], 5)
     link, first = replace(link, heartbeat_at=1.0).due(0.02)  # after Hello
-    assert said(first) == [Begin(3, 2, 3201564194)]
+    assert messages_in(first) == [Begin(3, 2, 3201564194)]
     link, some = done(link, first, 0.1).due(0.1)
-    assert said(some) == [Knots(3, 0, (KNOTS[0],))]  # one to a message: it takes 68 ms
+    assert messages_in(some) == [Knots(3, 0, (KNOTS[0],))]  # one to a message: it takes 68 ms
     for now in (0.11, 0.13, 0.15):
         link, more = link.due(now)
-        assert said(more) == []
+        assert messages_in(more) == []
     link, more = link.due(0.165)
-    assert said(more) == [Knots(3, 1, (KNOTS[1],))]
+    assert messages_in(more) == [Knots(3, 1, (KNOTS[1],))]
     assert link.retries == 0
 
 
 def test_lost_knots_are_sent_one_by_one():
-    link, first = met().uploading(3, KNOTS[:8], 5).due(0.01)
+    link, first = connected().uploading(3, KNOTS[:8], 5).due(0.01)
     link, some = done(link, first, 0.01).due(0.01)
-    assert len(said(some)) == 2
+    assert len(messages_in(some)) == 2
     link = done(link, said_packets(some)[1:], 0.02)  # the second one arrived
     link, again = link.due(0.05)
-    assert said(again) == [Knots(3, i, (KNOTS[i],)) for i in range(4)]
+    assert messages_in(again) == [Knots(3, i, (KNOTS[i],)) for i in range(4)]
     assert link.retries == 4
 
 
 @pytest.mark.parametrize("start", [40, 2**16 - 30])
 def test_commands_have_consecutive_numbers_of_65536(start):
     """Also those of lost knots, which are sent one by one: else an answer would fit several."""
-    link, first = replace(met(), sequence=start).uploading(3, KNOTS, 5).due(0.01)
+    link, first = replace(connected(), sequence=start).uploading(3, KNOTS, 5).due(0.01)
     link, some = done(link, first, 0.01).due(0.01)
     assert [p.sequence for p in said_packets(first + some)] == [
         (start + i) % 2**16 for i in range(9)
@@ -206,10 +206,10 @@ def test_sessions_begin_with_numbers_far_apart():
 
 
 def test_setpoints_of_a_stream_are_numbered_by_65536():
-    link, packets = met().adding(3, 2**16 - 6, KNOTS[:12]).due(0.01)
-    assert [m.first for m in said(packets)] == [2**16 - 6, 2**16 - 2, 2]
-    assert [k for m in said(packets) for k in m.knots] == KNOTS[:12]
-    again = said(link.due(0.05)[1])
+    link, packets = connected().adding(3, 2**16 - 6, KNOTS[:12]).due(0.01)
+    assert [m.first for m in messages_in(packets)] == [2**16 - 6, 2**16 - 2, 2]
+    assert [k for m in messages_in(packets) for k in m.knots] == KNOTS[:12]
+    again = messages_in(link.due(0.05)[1])
     assert [m.first for m in again] == [(2**16 - 6 + i) % 2**16 for i in range(12)]
     assert [k for m in again for k in m.knots] == KNOTS[:12]
 
@@ -219,13 +219,13 @@ def said_packets(packets: list[Packet]) -> list[Packet]:
 
 
 def test_on_a_line_that_loses_much_all_is_sent_more_often():
-    link = met()
+    link = connected()
     bad = replace(link, line=replace(link.line, answered=0.26))  # 3 % of the bytes
     packets = bad.uploading(3, KNOTS, 5).due(0.01)[1]
-    assert len(said(packets)) >= 2
+    assert len(messages_in(packets)) >= 2
     assert len({p.sequence for p in said_packets(packets)}) == 1  # the same command, done once
     begun = done(bad.uploading(3, KNOTS, 5).due(0.01)[0], packets[:1], 0.02)
-    knots = said(begun.due(0.02)[1])
+    knots = messages_in(begun.due(0.02)[1])
     assert all(len(m.knots) == 1 for m in knots)
     assert len(bad.stopping().due(0.01)[1]) >= 2
     beats = [n for n in range(100) if (r := bad.due(0.001 * n))[1] and (bad := r[0])]
@@ -237,7 +237,7 @@ def test_on_a_line_that_loses_much_all_is_sent_more_often():
     [(Status.LIMIT, "device refuses Begin: limit"), (Status.OLD, "device refuses Begin: old")],
 )
 def test_refused_tables_are_dropped_and_reported(status, refusal):
-    link, first = met().uploading(3, KNOTS, 5).due(0.01)
+    link, first = connected().uploading(3, KNOTS, 5).due(0.01)
     link = done(link, first, 0.02, status)
     assert link.refusal == refusal
     assert link.queue == ()
@@ -246,66 +246,66 @@ def test_refused_tables_are_dropped_and_reported(status, refusal):
 
 @pytest.mark.parametrize("state", [State.OFF, State.HOMING, State.BRAKING])
 def test_a_device_that_is_not_ready_gets_no_table_and_no_enable(state):
-    link = met(state).uploading(3, KNOTS, 5)
+    link = connected(state).uploading(3, KNOTS, 5)
     for now in (0.01, 1.0, 2.0):
-        link = link.received(told(state, Fault.HOST_SILENT | Fault.NO_HOME), now)
+        link = link.received(telemetry(state, Fault.HOST_SILENT | Fault.NO_HOME), now)
         link, packets = link.due(now)
-        assert said(packets) == []
+        assert messages_in(packets) == []
     assert not link.busy
     # Nor does a table go on to a device that has stopped while it was on its way.
-    link, first = met().uploading(3, KNOTS, 5).due(0.01)
-    link = done(link, first, 0.02).received(told(state), 0.02)
-    assert said(link.due(0.02)[1]) == []
+    link, first = connected().uploading(3, KNOTS, 5).due(0.01)
+    link = done(link, first, 0.02).received(telemetry(state), 0.02)
+    assert messages_in(link.due(0.02)[1]) == []
 
 
 def test_an_enable_is_requested_once_and_discarded_by_a_stop():
-    link, packets = met(State.OFF).enabling(77).due(0.01)
-    assert said(packets) == [Enable(77)]
+    link, packets = connected(State.OFF).enabling(77).due(0.01)
+    assert messages_in(packets) == [Enable(77)]
     answered = done(link, packets, 0.02, Status.WRONG_STOP)
     assert answered.answer.status is Status.WRONG_STOP
-    answered = answered.received(told(State.OFF, stop=78), 0.03)
-    assert said(answered.due(1.0)[1]) == []
+    answered = answered.received(telemetry(State.OFF, stop=78), 0.03)
+    assert messages_in(answered.due(1.0)[1]) == []
     # Not answered it is repeated with its number, until there is a stop.
-    assert said(link.due(0.1)[1]) == [Enable(77)]
+    assert messages_in(link.due(0.1)[1]) == [Enable(77)]
     stopped, packets = link.stopping().due(0.02)
-    assert said(packets) == [Stop(0)]
-    assert said(done(stopped, packets, 0.03).due(0.5)[1]) == []
+    assert messages_in(packets) == [Stop(0)]
+    assert messages_in(done(stopped, packets, 0.03).due(0.5)[1]) == []
 
 
 def test_stop_overtakes_everything():
-    link, _ = met(baud=9600.0).uploading(3, KNOTS, 5).due(0.01)
+    link, _ = connected(baud=9600.0).uploading(3, KNOTS, 5).due(0.01)
     link, packets = link.uploading(4, KNOTS, 5).stopping().due(0.011)
-    assert said(packets) == [Stop(0)]
+    assert messages_in(packets) == [Stop(0)]
     # Even a greeting, which goes on after it.
     link, packets = Link.connecting(5, 0.0).stopping(True).due(0.0)
-    assert said(packets) == [Stop(1), Hello(VERSION, 5)]
+    assert messages_in(packets) == [Stop(1), Hello(VERSION, 5)]
 
 
 def test_the_trigger_follows_the_greeting_and_no_stop_forgets_it():
     trigger = Trigger(100, 2)
     link, first = Link.connecting(5, 0.0, trigger=trigger).due(0.0)
-    assert said(first) == [Hello(VERSION, 5)]
-    link = link.received(capabilities(), 0.0).received(told(State.PLAYING), 0.0)
+    assert messages_in(first) == [Hello(VERSION, 5)]
+    link = link.received(capabilities(), 0.0).received(telemetry(State.PLAYING), 0.0)
     link, packets = link.uploading(1, KNOTS[:4], 1).stopping().due(0.01)
-    assert said(packets) == [Stop(0), trigger]
+    assert messages_in(packets) == [Stop(0), trigger]
     link, later = done(link, packets, 0.02).due(0.5)
-    assert said(later) == []
+    assert messages_in(later) == []
     assert link.refusal == ""
 
 
 def test_two_stop_requests_are_one_and_the_stronger_one_stays():
-    link, first = met(State.PLAYING).stopping().due(0.01)
+    link, first = connected(State.PLAYING).stopping().due(0.01)
     link, again = link.stopping().due(0.011)
     assert said_packets(again)[0] == said_packets(first)[0]  # at once, and no new stop
     link, cut = link.stopping(True).due(0.012)
-    assert said(cut) == [Stop(1)]
+    assert messages_in(cut) == [Stop(1)]
     link, still = link.stopping(False).due(0.013)
-    assert said(still) == [Stop(1)]
+    assert messages_in(still) == [Stop(1)]
 
 
 def test_home_is_a_command():
-    link, packets = met(State.OFF).homing().due(0.01)
-    assert said(packets) == [Home()]
+    link, packets = connected(State.OFF).homing().due(0.01)
+    assert messages_in(packets) == [Home()]
     assert done(link, packets, 0.02).answer.status is Status.DONE
 
 
@@ -314,28 +314,28 @@ def test_home_is_a_command():
     [
         (
             capabilities(version=2),
-            gone(
+            gone_report(
                 WRONG_DEVICE,
                 "device has protocol version 2 and 4 motors, allowed: version 5 and 4 motors",
             ),
         ),
-        (capabilities(boot=2), gone(DEVICE_RESET, "device was reset")),
+        (capabilities(boot=2), gone_report(DEVICE_RESET, "device was reset")),
         (
             Packet(0, Acknowledgement(9, Status.NO_SESSION)),
-            gone(DEVICE_RESET, "device was reset"),
+            gone_report(DEVICE_RESET, "device was reset"),
         ),
         (capabilities(session=4), None),
         (Packet(0, Acknowledgement(9, Status.DONE)), None),
     ],
 )
 def test_packets_that_end_a_link(packet, failed):
-    assert met().received(packet, 0.01).failed == failed
+    assert connected().received(packet, 0.01).failed == failed
 
 
 def test_silence_ends_a_link_later_where_the_way_is_long():
-    link = met()
+    link = connected()
     assert not link.due(TIMEOUT_S - 1e-3)[0].failed
-    silent = gone(NO_ANSWER, "device has been silent for 1 s")
+    silent = gone_report(NO_ANSWER, "device has been silent for 1 s")
     assert link.due(TIMEOUT_S + 1e-3)[0].failed == silent
     far = replace(link, line=replace(link.line, trip_s=0.2, deviation_s=0.05))
     assert not far.due(TIMEOUT_S + 0.399)[0].failed

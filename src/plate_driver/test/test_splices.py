@@ -516,14 +516,14 @@ def test_a_stream_goes_on_in_motion_or_with_the_tail(pair):
     first, second = (
         prepare(RIG, c, 1, before=b)[0] for c, b in zip(pair, ((), (pair[0],)), strict=True)
     )
-    begun, sent = SetpointStream.of(first, 1).until(0.09)
+    started, sent = SetpointStream.of(first, 1).until(0.09)
     # Nothing beyond the splice was sent yet: both ways are open.
-    on, more = begun.followed_by(second, 1).until(50.0)
+    on, more = started.followed_by(second, 1).until(50.0)
     assert on.ended
     assert on.time == pytest.approx(2 * PERIOD + TAIL + 0.01)
     expected = [*refined(first), *refined(second)[1:], *refined(second.tail)[1:]]
     assert [k.position for k in (*sent, *more)][:-1] == [k.position for k in expected]
-    ended, rest = begun.until(50.0)
+    ended, rest = started.until(50.0)
     assert ended.time == pytest.approx(0.2)  # devices refuse shorter streams
     judge(sampled([*sent, *more]))
     judge(sampled([*sent, *rest]))
@@ -609,7 +609,7 @@ def test_starts_of_tails_are_reported_too(pair, rng):
     plan = [(1.0, 1, first, PERIOD), (1.1, 2, second, PERIOD + TAIL), (1.3, 3, third, PERIOD)]
     begins = {1.0: first.cycle, 1.1: second.cycle, 1.2: second.cycle.tail, 1.3: third.cycle}
 
-    def told(lost):
+    def reported_cycles(lost):
         starts, found = CycleStarts(0.0), {}
         for time in np.arange(0.905, 1.5, 0.01):
             if lost(time):
@@ -627,12 +627,12 @@ def test_starts_of_tails_are_reported_too(pair, rng):
         return found
 
     for lost in (lambda _: False, lambda time: round(time * 100) % 2):
-        found = told(lost)
+        found = reported_cycles(lost)
         assert {at: cycle for at, cycle in found.items() if at in begins} == begins
         rests = [at for at in found if at not in begins]
         assert any(at == pytest.approx(1.25) for at in rests)
         assert not any(1.0 < at < 1.24 for at in rests)
     # If no tail was reported, the plate gets no order to rest before the tail's end.
-    found = told(lambda time: 1.19 < time < 1.26)
+    found = reported_cycles(lambda time: 1.19 < time < 1.26)
     assert 1.2 not in found
     assert not any(1.1 < at < 1.249 for at in found)

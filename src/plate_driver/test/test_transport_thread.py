@@ -435,8 +435,8 @@ def test_long_messages_are_refused_by_their_beginning():
     check_length(head + (50).to_bytes(4, "little"), 5000, 50)
     with pytest.raises(CycleError, match="51 points, allowed: at most 50"):
         check_length(head + (51).to_bytes(4, "little"), 5000, 50)
-    most = HEAD_BYTES + 50 * POINT_BYTES
-    with pytest.raises(CycleError, match=f"{most + 1} bytes, allowed: at most {most}"):
-        check_length(head + (50).to_bytes(4, "little"), most + 1, 50)
+    max_bytes = HEAD_BYTES + 50 * POINT_BYTES
+    with pytest.raises(CycleError, match=f"{max_bytes + 1} bytes, allowed: at most {max_bytes}"):
+        check_length(head + (50).to_bytes(4, "little"), max_bytes + 1, 50)
     for data in (b"", b"\0\1\0\0", b"\xff" * 40, head, b"\0\1\0\0" + b"\xff" * 100):
         check_length(data, len(data), 50)  # whether it is a cycle shows when it is unpacked

@@ -182,7 +182,7 @@ class Graph:
         robot.setblocking(False)
         data = bytearray()
 
-        def came():
+        def has_arrived():
             try:
                 got = robot.recv(4096)
             except BlockingIOError:
@@ -190,7 +190,7 @@ class Graph:
             data.extend(got)
             return not got or data.endswith(b"\n")
 
-        self.until_really(came, robot)
+        self.until_really(has_arrived, robot)
         return data.decode()
 
     def close(self):
@@ -310,18 +310,18 @@ def test_the_hopper_opens_for_missing_parts_and_a_stop_shuts_it(graph):
 
 
 @pytest.mark.parametrize(
-    ("jam", "told"), [("the lid is jammed", "jammed"), (None, "does not reply")]
+    ("jam", "cause"), [("the lid is jammed", "jammed"), (None, "does not reply")]
 )
-def test_a_hopper_that_does_not_open_is_reported(graph, jam, told):
+def test_a_hopper_that_does_not_open_is_reported(graph, jam, cause):
     if jam is None:
         graph.feeder._hopper.call_async = lambda request: Future()
     graph.planner.jam, graph.planner.ready, graph.planner.seen = jam, {}, 0
     robot = graph.robot()
     graph.ask(robot, "get_part")
-    graph.until(lambda: graph.reports and told in graph.reports[-1].status[0].message)
+    graph.until(lambda: graph.reports and cause in graph.reports[-1].status[0].message)
     answer = graph.hear(robot)
     assert answer.startswith("507 no part is on the plate")
-    assert told in answer
+    assert cause in answer
 
 
 def test_a_robot_that_leaves_does_not_leave_its_command(graph):

@@ -365,9 +365,9 @@ def test_no_process_of_an_agent_outlives_its_episode(hostile, tmp_path, name):
 def test_most_of_a_long_output_is_omitted(hostile, printed):
     with pytest.raises(PlateError, match="RuntimeError: done"):
         hostile("Prints")
-    said = printed()
-    assert said.count("x") < 101_000
-    assert "seed 3, step 0: omitted the agent's output after 100,000 bytes\n" in said
+    output = printed()
+    assert output.count("x") < 101_000
+    assert "seed 3, step 0: omitted the agent's output after 100,000 bytes\n" in output
 
 
 def test_output_cannot_be_mistaken_for_that_of_the_judge(hostile, printed):

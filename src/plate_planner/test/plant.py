@@ -36,18 +36,18 @@ class Plant:
     def seen(self) -> Parts:
         return Parts.make(self.ids, self.position, self.drift)
 
-    def step(self, asked: CycleRequest) -> None:
+    def step(self, cycle_request: CycleRequest) -> None:
         noise = self.disturbance * self.rng.normal(size=self.drift.shape)
-        answer = self.answer(asked) + noise
+        answer = self.answer(cycle_request) + noise
         self.drift, self.coming = self.coming, answer
         self.position = self.position + T * self.drift
 
-    def answer(self, asked: CycleRequest) -> np.ndarray:
+    def answer(self, cycle_request: CycleRequest) -> np.ndarray:
         """Return the drift request, as far as parts are named; parts that are not come to rest."""
         drift = np.zeros_like(self.position)
-        for i, part_id in enumerate(asked.parts.ids):
+        for i, part_id in enumerate(cycle_request.parts.ids):
             row = self.ids.index(part_id)
-            drift[row] = self.drift[row] + asked.forces.force[i] * T / MASS
+            drift[row] = self.drift[row] + cycle_request.forces.force[i] * T / MASS
         return drift
 
 

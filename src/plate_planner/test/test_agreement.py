@@ -19,13 +19,13 @@ def after(rng, cycles, sign, *, scale=1.0, noise=0.2e-3, length=3e-3, late=0.0):
     """Return the agreement after cycles in which the parts move by `scale` times the prediction
     along each axis, with the signs (2,) of the image's axes."""
     agreement = Agreement()
-    place = rng.uniform(-0.1, 0.1, (len(IDS), 2))
+    position = rng.uniform(-0.1, 0.1, (len(IDS), 2))
     for k in range(cycles):
-        move = rng.normal(0, length, place.shape)
-        seen = Parts.make(IDS, place)
-        agreement = agreement.expecting(seen, IDS, place + move, 0.1 * k + 0.1)
-        place = place + move * scale * np.array(sign) + rng.normal(0, noise, place.shape)
-        agreement = agreement.seeing(Parts.make(IDS, place), 0.1 * k + 0.1 + late)
+        move = rng.normal(0, length, position.shape)
+        seen = Parts.make(IDS, position)
+        agreement = agreement.expecting(seen, IDS, position + move, 0.1 * k + 0.1)
+        position = position + move * scale * np.array(sign) + rng.normal(0, noise, position.shape)
+        agreement = agreement.seeing(Parts.make(IDS, position), 0.1 * k + 0.1 + late)
     return agreement
 
 

@@ -15,11 +15,11 @@ PLACE = np.array([[0.05, 0.02], [-0.1, 0.1]])
 THINGS = ("unknown_1", "group_2")
 
 
-def with_things(parts, ids=THINGS, place=PLACE):
+def with_things(parts, ids=THINGS, position=PLACE):
     """Return parts and things that belong to no class of the task."""
     return Parts.make(
         parts.ids + tuple(ids),
-        np.vstack([parts.position, place[: len(ids)]]),
+        np.vstack([parts.position, position[: len(ids)]]),
         np.vstack([parts.velocity, np.zeros((len(ids), 2))]),
     )
 
@@ -111,9 +111,9 @@ def test_the_solver_gets_the_parts_of_the_task_before_unknown_things():
     planner = Planner(RIG, load_scenario("sort_50"))
     parts = Plant(planner.scenario, seed=2).seen()
     ids = tuple(f"unknown_{k}" for k in range(1, 71))
-    place = np.random.default_rng(1).uniform(-0.9, 0.9, (70, 2)) * HALF
-    state = ready(planner, with_things(parts, ids, place))
-    _, request, _ = planner.plan(state, with_things(parts, ids, place), 0.0)
+    position = np.random.default_rng(1).uniform(-0.9, 0.9, (70, 2)) * HALF
+    state = ready(planner, with_things(parts, ids, position))
+    _, request, _ = planner.plan(state, with_things(parts, ids, position), 0.0)
     assert len(request.parts) == 100
     assert set(parts.ids) <= set(request.parts.ids)
 

@@ -28,14 +28,14 @@ def shaken(rng):
     return PlateCycle.from_samples(T, window * sum(w * a for w, a in zip(waves, size, strict=True)))
 
 
-def slide(place, speed, bound, pose, twist):
+def slide(position, speed, bound, pose, twist):
     """Return places (n + 1, K, 2) of parts from step to step of FINE; `speed` goes with them."""
     # Python's complex numbers as vectors: arrays of so few parts would take ten times as long.
     turns = 1j * twist[:, 2]
     still = (twist[:, :2] @ [1, 1j] - turns * (pose[:, :2] @ [1, 1j])).tolist()
     turns = turns.tolist()
-    past = np.empty((len(twist) + 1, *place.shape))
-    for k, (x, v) in enumerate(zip(place @ [1, 1j], speed @ [1, 1j], strict=True)):
+    past = np.empty((len(twist) + 1, *position.shape))
+    for k, (x, v) in enumerate(zip(position @ [1, 1j], speed @ [1, 1j], strict=True)):
         x, v, gain = complex(x), complex(v), FINE * bound[k]
         ways = [x]
         for a, w in zip(still, turns, strict=True):
@@ -70,8 +70,8 @@ class World:
 
     def seen(self, age=0.0, names=None):
         names = names or tuple(f"black_{i + 1}" for i in range(len(self.place)))
-        place = self.ago(age) + self.noise * self.rng.normal(size=self.place.shape)
-        return Parts.make(names, place)
+        position = self.ago(age) + self.noise * self.rng.normal(size=self.place.shape)
+        return Parts.make(names, position)
 
 
 def estimated(
@@ -85,8 +85,8 @@ def estimated(
             estimator = estimator.started(cycle, k * T, triggered=True)
         estimator = estimator.update(edit(k, world.seen(latency)), k * T)
         parts = estimator.parts
-        axes, most = np.tile(np.eye(2), (len(parts), 1, 1)), np.full(len(parts), 0.1)
-        estimator = estimator.observe(parts, estimator.predict(parts), axes, 0.3, most)
+        axes, max_drift = np.tile(np.eye(2), (len(parts), 1, 1)), np.full(len(parts), 0.1)
+        estimator = estimator.observe(parts, estimator.predict(parts), axes, 0.3, max_drift)
         yield estimator, world.place
         world.run(cycle)
         cycle = shaken(world.rng)
@@ -173,17 +173,17 @@ def test_it_knows_where_the_next_cycle_finds_the_parts():
 
 
 def test_a_part_that_is_missed_is_carried_on_and_given_up_in_the_end():
-    gone = range(10, 10 + MISSED_IMAGES.parts + 1)
+    lost_images = range(10, 10 + MISSED_IMAGES.parts + 1)
 
     def edit(k, parts):
-        keep = [0, 2] if k in gone else [0, 1, 2]
+        keep = [0, 2] if k in lost_images else [0, 1, 2]
         return Parts.make(tuple(parts.ids[i] for i in keep), parts.position[keep])
 
     for k, (estimator, truth) in enumerate(estimated(World(3, 0.9), 20, edit=edit)):
-        if gone[0] <= k < gone[0] + MISSED_IMAGES.parts:
+        if lost_images[0] <= k < lost_images[0] + MISSED_IMAGES.parts:
             assert estimator.parts.ids == ("black_1", "black_2", "black_3")
             assert np.abs(estimator.parts.position - truth).max() < 0.5e-3
-        elif k == gone[0] + MISSED_IMAGES.parts:
+        elif k == lost_images[0] + MISSED_IMAGES.parts:
             assert estimator.parts.ids == ("black_1", "black_3")
     assert set(estimator.parts.ids) == {"black_1", "black_2", "black_3"}  # it came back
 
@@ -261,9 +261,9 @@ def learnt(drift, cycles, gain, latency=0.0, late=0.0, seen=(True, True)):
     """Return the bias after cycles in which parts drift by `drift` [m/s] more than predicted."""
     bias, ids = DriftBias(("black_1", "black_2"), np.zeros((2, 2))), ("black_1", "black_2")
     for k in range(cycles):
-        place = np.full((2, 2), 0.3 * k)
-        bias = bias.with_prediction(place, k * T, (k + 1) * T, latency)
-        parts, t = Parts.make(ids, place + T * drift), (k + 1) * T + late
+        position = np.full((2, 2), 0.3 * k)
+        bias = bias.with_prediction(position, k * T, (k + 1) * T, latency)
+        parts, t = Parts.make(ids, position + T * drift), (k + 1) * T + late
         bias = bias.update(parts, np.array(seen), t, latency, axes(0.4, 2.0), gain, MOST)
     return bias
 

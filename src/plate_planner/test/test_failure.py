@@ -44,8 +44,8 @@ def test_the_part_with_the_largest_shortfall_is_reported_with_a_remedy(
     assert text.startswith("b at ")
     assert all(words in text for words in inside), text
     assert outside not in text
-    most = 1e3 * rig.parts.mass_kg * rig.friction.mu * rig.friction.gravity
-    assert drift is None or f" of {most:.1f} mN" in text
+    max_force = 1e3 * rig.parts.mass_kg * rig.friction.mu * rig.friction.gravity
+    assert drift is None or f" of {max_force:.1f} mN" in text
     assert shortfall_text(request, rig, NOBODY, np.empty(0), count) == ""
 
 

@@ -17,9 +17,9 @@ SCENARIO = load_scenario("feed")
 TASK = replace(SCENARIO.task, chute=Side(-1, 0))
 
 
-def parts(**place):
-    ids = tuple(place)
-    return Parts.make(ids, np.array([place[name] for name in ids]).reshape(-1, 2))
+def parts(**position):
+    ids = tuple(position)
+    return Parts.make(ids, np.array([position[name] for name in ids]).reshape(-1, 2))
 
 
 def situation(seen, t=0.0, hidden=None, tail=0.0):

@@ -222,7 +222,7 @@ def test_parts_that_start_elsewhere_are_led_to_their_paths_first(far):
     scenario = load_scenario("follow_2")
     plant = Plant(scenario)
     plant.position += [-far / 2, far]
-    most = 0.0
+    maximum = 0.0
     planner = Planner(RIG, scenario)
     state = ready(planner, plant.seen())
     for k in range(1000):
@@ -232,17 +232,17 @@ def test_parts_that_start_elsewhere_are_led_to_their_paths_first(far):
         if state.memory.leading:
             assert progress.max_error_m == 0  # the path has not begun
         plant.step(request)
-        most = max(most, np.max(np.abs(plant.drift)))
+        maximum = max(maximum, np.max(np.abs(plant.drift)))
     assert progress.phase == "done"
     assert progress.max_error_m <= 0.0045 + 1e-6  # nearer than where references slow down
     led = state.memory.approach_s
     assert 0 < progress.time_s - 0.56 / 0.04 - led - T < 0.7
     assert f"{led:.1f} s of the time to reach the starts" in progress.text
-    assert most <= 0.05
+    assert maximum <= 0.05
 
 
 @pytest.mark.parametrize(
-    ("speed", "accel", "said"),
+    ("speed", "accel", "warning"),
     [
         (0.04, 100.0, ""),
         (0.08, 100.0, ""),
@@ -251,14 +251,14 @@ def test_parts_that_start_elsewhere_are_led_to_their_paths_first(far):
         (0.07, 10.0, "no motion of this plate moves a part faster than 0.062 m/s (a T/16)"),
     ],
 )
-def test_too_high_a_speed_is_reported_with_a_feasible_speed(speed, accel, said):
+def test_too_high_a_speed_is_reported_with_a_feasible_speed(speed, accel, warning):
     scenario = load_scenario("follow_2")
     paths = tuple(replace(path, speed=speed) for path in scenario.task.paths)
     rig = replace(RIG, limits=replace(RIG.limits, accel=accel))
     planner = Planner(rig, replace(scenario, task=replace(scenario.task, paths=paths)))
     warnings = planner.rules.warnings()
-    assert bool(warnings) == bool(said)
-    assert said in "".join(warnings)
+    assert bool(warnings) == bool(warning)
+    assert warning in "".join(warnings)
     assert ("shakes too little" in "".join(planner.warnings())) == (accel == 10.0)
 
 
@@ -270,7 +270,7 @@ def test_a_path_that_takes_longer_than_the_time_limit_is_refused():
 
 
 @pytest.mark.parametrize(
-    ("name", "gamma", "said"),
+    ("name", "gamma", "warning"),
     [
         ("sort_4", 7.1, ""),
         ("sort_4", 4.9, "expect the task to take longer"),
@@ -278,11 +278,11 @@ def test_a_path_that_takes_longer_than_the_time_limit_is_refused():
         ("sort_10", 4.9, "several times as long, and some runs may exceed time_limit_s, 1"),
     ],
 )
-def test_a_plate_that_shakes_too_little_is_reported_with_the_consequences(name, gamma, said):
+def test_a_plate_that_shakes_too_little_is_reported_with_the_consequences(name, gamma, warning):
     rig = replace(RIG, limits=replace(RIG.limits, accel=gamma * RIG.friction.accel))
     warnings = Planner(rig, load_scenario(name)).warnings()
-    assert bool(warnings) == bool(said)
-    assert said in "".join(warnings)
+    assert bool(warnings) == bool(warning)
+    assert warning in "".join(warnings)
 
 
 def test_a_part_that_starts_near_its_path_is_not_led():
@@ -300,8 +300,8 @@ def test_a_part_that_starts_near_its_path_is_not_led():
 def test_references_wait_for_a_part_that_stays_behind_and_then_it_is_stuck():
     scenario = load_scenario("follow_2")
     plant = Plant(scenario)
-    plant.answer = lambda asked: np.zeros((2, 2))
-    _, asked, progress = run(Planner(RIG, scenario), plant)
+    plant.answer = lambda last_request: np.zeros((2, 2))
+    _, last_request, progress = run(Planner(RIG, scenario), plant)
     assert progress.speed_scaling == 0
     assert 0.0045 < progress.max_error_m <= 0.5 * scenario.task.max_error_m + 1e-3
     assert progress.text.startswith("stuck after ")
@@ -311,7 +311,7 @@ def test_references_wait_for_a_part_that_stays_behind_and_then_it_is_stuck():
         "its actual drift was (0.0, 0.0) mm/s; friction.mu or the motors may differ"
         in progress.text
     )
-    assert len(asked.parts) == 0
+    assert len(last_request.parts) == 0
 
 
 def test_a_part_pushed_far_off_its_path_ends_the_task():
@@ -332,8 +332,8 @@ class Weak(Plant):
 
     share, bound = 1.0, np.inf
 
-    def answer(self, asked):
-        drift = self.share * super().answer(asked)
+    def answer(self, last_request):
+        drift = self.share * super().answer(last_request)
         return np.clip(drift, -self.bound, self.bound)
 
 

@@ -30,17 +30,17 @@ def endless(*targets) -> Planner:
     return Planner(RIG, scenario(*targets, limit=np.inf, until_canceled=True))
 
 
-def parts(place, angle=None):
+def parts(position, angle=None):
     return Parts.make(
-        tuple(f"black_{k + 1}" for k in range(len(place))), np.array(place), angle=angle
+        tuple(f"black_{k + 1}" for k in range(len(position))), np.array(position), angle=angle
     )
 
 
 def test_a_part_moves_to_its_target_and_the_others_stay_or_clear_it():
     mover = Mover(task(THERE), RIG)
     near, far = ([x, 0.05] for x in (0.095, -0.2))
-    for place, first in ((near, True), (far, False)):
-        seen = parts([place, [0.01, -0.1]])
+    for position, first in ((near, True), (far, False)):
+        seen = parts([position, [0.01, -0.1]])
         remaining = mover.remaining(
             MoveMemory({"black_1": (0.0, 0.0), "black_2": (0.0, -0.1)}), seen
         )

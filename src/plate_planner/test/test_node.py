@@ -551,12 +551,12 @@ def test_forces_are_drawn_for_those_who_look(graph):
     graph.until(lambda: len(drawn) >= 3)
     unit = load_rig().force_unit
     assert np.abs(request.forces.force).max() > 0.01 * unit
-    for marker, place, force in zip(
+    for marker, position, force in zip(
         drawn[-1].markers, request.parts.position, request.forces.force, strict=True
     ):
         assert (marker.ns, marker.header.frame_id) == ("forces", "plate_home")
         tail, tip = marker.points
-        assert (tail.x, tail.y) == tuple(place)
+        assert (tail.x, tail.y) == tuple(position)
         assert np.allclose([tip.x - tail.x, tip.y - tail.y], 0.1 * force / unit)
 
 

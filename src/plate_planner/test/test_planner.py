@@ -58,9 +58,11 @@ def test_the_hold_time_has_passed_when_it_is_done():
     assert progress.time_s == pytest.approx(0.7)
 
 
-@pytest.mark.parametrize("heard", [False, True])
+@pytest.mark.parametrize("cycle_recorded", [False, True])
 @pytest.mark.parametrize("falls", [None, 6, 7])
-def test_a_part_that_falls_off_in_the_last_cycle_is_lost_and_the_task_not_done(heard, falls):
+def test_a_part_that_falls_off_in_the_last_cycle_is_lost_and_the_task_not_done(
+    cycle_recorded, falls
+):
     """All are in their regions, one at the rim; the image with which they have been so for long
     enough still shows it, the next one or the one after does not."""
     planner = Planner(RIG, load_scenario("sort_4"), PlannerOptions(image_age_s=0.0))
@@ -73,7 +75,7 @@ def test_a_part_that_falls_off_in_the_last_cycle_is_lost_and_the_task_not_done(h
         assert (len(request.parts) > 0) == (k < 5)  # after the hold time the plate must rest
         if progress.phase != "running":
             break
-        if heard:
+        if cycle_recorded:
             swing = PlateCycle.from_samples(T, SWING) if len(request.parts) else PlateCycle.rest(T)
             state = planner.record_cycle(state, swing, k * T + T / 2)
     if falls is None:
@@ -106,8 +108,8 @@ def test_it_assembles(seed):
     assert progress.phase == "done"
     assert progress.parts_sorted == 8
     assert progress.max_error_m <= scenario.task.tolerance_m
-    place = np.array(scenario.task.place)
-    distance = np.hypot(*(plant.position[:, None] - place[None]).transpose(2, 0, 1))
+    position = np.array(scenario.task.place)
+    distance = np.hypot(*(plant.position[:, None] - position[None]).transpose(2, 0, 1))
     nearest = np.argmin(distance, axis=1)
     assert sorted(nearest) == list(range(8))  # each place has one part, of its class
     assert [scenario.task.labels[k] for k in nearest] == [part_class(i) for i in plant.ids]

@@ -17,9 +17,9 @@ def task(*poses):
     return PoseTask(poses, tolerance_m=0.003, tolerance_rad=np.radians(3), hold_s=1.0)
 
 
-def parts(place, angle, labels=None):
-    names = labels or tuple(f"black_{k + 1}" for k in range(len(place)))
-    return Parts.make(names, np.array(place), angle=np.array(angle))
+def parts(position, angle, labels=None):
+    names = labels or tuple(f"black_{k + 1}" for k in range(len(position)))
+    return Parts.make(names, np.array(position), angle=np.array(angle))
 
 
 def test_poses_with_a_place_go_to_the_nearest_and_the_others_stay():
@@ -57,10 +57,10 @@ def test_it_gets_there_where_the_plate_gives_less_or_more(gain):
     state = poser.begin(seen)
     for _ in range(80):
         to = poser.request(state, seen)
-        place = np.clip(seen.position, to.low, to.high) - seen.position
+        position = np.clip(seen.position, to.low, to.high) - seen.position
         turn = np.clip(seen.angle, to.angles.low, to.angles.high) - seen.angle
-        place, turn = np.clip(gain * place, -2e-3, 2e-3), np.clip(gain * turn, -0.1, 0.1)
-        seen = replace(seen, position=seen.position + place, angle=seen.angle + turn)
+        position, turn = np.clip(gain * position, -2e-3, 2e-3), np.clip(gain * turn, -0.1, 0.1)
+        seen = replace(seen, position=seen.position + position, angle=seen.angle + turn)
     assert poser.count(state, seen) == 2
     distance, angle = poser.errors(state, seen)
     assert np.max(distance) < 0.5 * poser.task.tolerance_m

@@ -24,13 +24,13 @@ def fractions(*points: tuple[float, float]) -> np.ndarray:
     return np.array(points) * HALF
 
 
-def asked(ids, points, task=TASK, swirl=1.0, rig=RIG):
+def targets_of(ids, points, task=TASK, swirl=1.0, rig=RIG):
     """Return the request for parts at fractions of the half sides."""
     return Sorter(task, rig).request(Parts.make(ids, fractions(*points)), swirl)
 
 
 def test_parts_are_to_come_a_little_beyond_their_lines():
-    to = asked(("grey_1", "black_1"), [(-0.3, 0.0), (0.9, 0.0)])
+    to = targets_of(("grey_1", "black_1"), [(-0.3, 0.0), (0.9, 0.0)])
     assert (to.low[0, 0], to.high[0, 0]) == pytest.approx((LINE[0], HALF[0]))
     assert (to.low[1, 0], to.high[1, 0]) == pytest.approx((-HALF[0], -LINE[0]))
     assert to.gap_m > 0
@@ -38,17 +38,17 @@ def test_parts_are_to_come_a_little_beyond_their_lines():
 
 def test_the_part_with_the_longest_way_has_the_same_weight_times_way_whatever_it_is():
     for x in (-0.9, -0.2, 0.3, 0.5):
-        to = asked(("grey_1", "grey_2"), [(x, 0.0), (0.58, 0.0)])
+        to = targets_of(("grey_1", "grey_2"), [(x, 0.0), (0.58, 0.0)])
         way = LINE[0] - x * HALF[0]
         assert to.weight[:, 0] * way == pytest.approx(0.006)
-    near = asked(("grey_1",), [(0.6299, 0.0)])
+    near = targets_of(("grey_1",), [(0.6299, 0.0)])
     assert near.weight[0, 0] == pytest.approx(1.2)  # and not beyond all bounds
 
 
 def test_far_parts_keep_to_their_lane_and_near_ones_do_not():
     ids, points = ("grey_1", "black_1", "grey_2"), [(-0.5, 0.0), (0.5, 0.0), (0.7, 0.0)]
     for swirl in (1.0, -1.0):
-        to = asked(ids, points, swirl=swirl)
+        to = targets_of(ids, points, swirl=swirl)
         upper, lower = (0, 1) if swirl > 0 else (1, 0)
         assert to.low[upper, 1] == pytest.approx(LANE_AT * HALF[1])
         assert to.high[lower, 1] == pytest.approx(-LANE_AT * HALF[1])
@@ -58,7 +58,7 @@ def test_far_parts_keep_to_their_lane_and_near_ones_do_not():
 
 
 def test_parts_that_all_go_to_one_side_need_no_lanes():
-    to = asked(("grey_1", "grey_2"), [(-0.5, 0.1), (-0.2, -0.1)])
+    to = targets_of(("grey_1", "grey_2"), [(-0.5, 0.1), (-0.2, -0.1)])
     assert np.all(to.weight[:, 1] == 0)
 
 
@@ -76,7 +76,7 @@ def test_parts_for_opposite_corners_go_in_lanes_and_then_on_to_their_corners(up)
     assert nearer == pytest.approx(inner)
     assert to.weight[2, 1] == pytest.approx(to.weight[2, 0])
     beside = {"black": Side(-1, up), "grey": Side(1, up)}  # one swirl does not lead to both
-    to = asked(ids, points, replace(TASK, regions=beside), sorter.swirl(None, parts))
+    to = targets_of(ids, points, replace(TASK, regions=beside), sorter.swirl(None, parts))
     assert np.where(up > 0, to.low[:, 1], to.high[:, 1]) == pytest.approx(up * LINE[1])
 
 
@@ -105,7 +105,7 @@ def test_the_mirror_image_gets_the_mirrored_request():
 
 
 def test_a_class_without_a_goal_is_only_kept_on_the_plate():
-    to = asked(("red_1", "grey_1"), [(0.3, 0.3), (0.0, 0.0)])
+    to = targets_of(("red_1", "grey_1"), [(0.3, 0.3), (0.0, 0.0)])
     assert np.all(to.weight[0] == 0)
     parts = Parts.make(("red_1",), np.array([[0.29, 0]]))
     assert np.isnan(SORTER.to_go(parts)[0])
@@ -140,7 +140,7 @@ def test_corners_are_requested_along_both_axes_and_top_is_left_rotated():
     parts = Parts.make(ids, fractions(*points))
     short = [0, 0.3 * HALF[1], np.hypot(0.9 * HALF[0], 0.4 * HALF[1]), 0, 0.6 * HALF[1]]
     assert Sorter(task, RIG).to_go(parts) == pytest.approx(np.array(short))
-    to = asked(ids, points, task)
+    to = targets_of(ids, points, task)
     assert to.high[2, 0] == pytest.approx(-LINE[0])
     assert to.low[2, 1] == pytest.approx(LINE[1])
     assert np.all(to.weight[2] > 0)
@@ -210,20 +210,20 @@ def test_a_bin_too_small_for_its_parts_is_refused():
 
 
 @pytest.mark.parametrize(
-    ("inner", "least", "room"), [(0.08, 20, 10), (0.12, 20, 5), (0.124, 14, 5), (0.13, 0, 0)]
+    ("inner", "min_gap_mm", "room"), [(0.08, 20, 10), (0.12, 20, 5), (0.124, 14, 5), (0.13, 0, 0)]
 )
 def test_parts_for_a_bin_along_an_edge_keep_behind_the_wall_if_it_has_room_there(
-    inner, least, room
+    inner, min_gap_mm, room
 ):
     """The wall is 20 mm from the edge, and 14 mm are required. Slots are 10 mm from the sides."""
     strip = Bin(((-0.1, inner), (0.05, inner), (0.05, 0.15), (-0.1, 0.15)))
     slot = bin_slots(strip, "black", RIG)
     assert len(slot) == room
     if room:
-        assert 1e3 * np.min(0.15 - slot[:, 1]) >= least - 1e-6
+        assert 1e3 * np.min(0.15 - slot[:, 1]) >= min_gap_mm - 1e-6
         sorter = Sorter(SortTask({"black": strip, "grey": BIN}, 0, 0), RIG)
         parts = Parts.make(("black_1",), np.zeros((1, 2)))
-        assert sorter.request(parts, 1.0).high[0, 1] <= 0.15 - 1e-3 * least + 1e-9
+        assert sorter.request(parts, 1.0).high[0, 1] <= 0.15 - 1e-3 * min_gap_mm + 1e-9
 
 
 @pytest.mark.parametrize("shift", [0.0, 0.03])

@@ -18,14 +18,14 @@ def test_each_part_gets_a_place_of_its_class_and_other_parts_none():
         ("grey_1", "red_1", "black_1", "black_2"),
         np.array([[0.0, 0.0], [0.0, 0.1], [0.1, 0.0], [0.0, 0.01]]),
     )
-    place = np.array([[0.0, 0.0], [0.1, 0.01], [0.1, 0.02]])
-    assert list(assign(("black", "grey", "black"), place, parts)) == [1, -1, 2, 0]
-    task = AssembleTask(("black", "grey", "black"), tuple(map(tuple, place)), 0.003, 1.0)
+    position = np.array([[0.0, 0.0], [0.1, 0.01], [0.1, 0.02]])
+    assert list(assign(("black", "grey", "black"), position, parts)) == [1, -1, 2, 0]
+    task = AssembleTask(("black", "grey", "black"), tuple(map(tuple, position)), 0.003, 1.0)
     assembly = Assembler(task, RIG)
     distance = assembly.distance(parts)
     assert distance == pytest.approx([np.hypot(0.1, 0.01), np.nan, 0.02, 0.01], nan_ok=True)
     to = assembly.request(parts)
-    assert (to.low + to.high)[[0, 2, 3]] / 2 == pytest.approx(place[[1, 2, 0]])
+    assert (to.low + to.high)[[0, 2, 3]] / 2 == pytest.approx(position[[1, 2, 0]])
     assert np.all(to.high - to.low < 0.003)
     assert np.all(to.weight[1] == 0)
     assert np.all(to.weight[[0, 2, 3]] > 0)

@@ -147,16 +147,16 @@ def test_parts_that_do_not_meet_do_as_each_alone():
     rng, count = np.random.default_rng(8), 69
     parts = [disc(0.008), disc(0.012)] * 34 + [disc(0.01)]
     parts[20], parts[41] = bar(0.04, 0.008), TRIPOD
-    place, angle = rng.uniform(-0.2, 0.2, (count, 2)), rng.uniform(-3, 3, count)
+    position, angle = rng.uniform(-0.2, 0.2, (count, 2)), rng.uniform(-3, 3, count)
     speed, spin = 0.1 * rng.normal(size=(count, 2)), rng.normal(size=count)
     mu = rng.uniform(0, 0.4, count)
     run = simulate_bodies(
-        random_cycle(4), parts, place, angle, speed, spin, mu, samples=0, cycles=2
+        random_cycle(4), parts, position, angle, speed, spin, mu, samples=0, cycles=2
     )
     for i in range(count):
         own = slice(i, i + 1)
         one = simulate_bodies(
-            random_cycle(4), parts[i], place[own], angle[own], speed[own], spin[own], mu[own],
+            random_cycle(4), parts[i], position[own], angle[own], speed[own], spin[own], mu[own],
             samples=0, cycles=2,
         )  # fmt: skip
         for name in ("position", "angle", "velocity", "spin"):
@@ -167,11 +167,13 @@ def test_parts_that_do_not_meet_do_as_each_alone():
 def test_the_recording_interval_does_not_change_the_motion(walls):
     """Discs meet, and leave a turning plate where they pass its edge."""
     rng, half = np.random.default_rng(9), np.array([0.1, 0.07])
-    place = np.stack(np.meshgrid([-0.09, -0.03, 0.03, 0.09], [-0.06, 0, 0.06]), -1).reshape(-1, 2)
-    cycle, speed = random_cycle(4, 2.0), 6 * place + 0.1 * rng.normal(size=(12, 2))
+    position = np.stack(np.meshgrid([-0.09, -0.03, 0.03, 0.09], [-0.06, 0, 0.06]), -1).reshape(
+        -1, 2
+    )
+    cycle, speed = random_cycle(4, 2.0), 6 * position + 0.1 * rng.normal(size=(12, 2))
     every, some, end = (
         simulate_bodies(
-            cycle, disc(0.01), place, 0, speed, 0, MU, cycles=3, samples=samples, half=half,
+            cycle, disc(0.01), position, 0, speed, 0, MU, cycles=3, samples=samples, half=half,
             contacts=Contacts(0.5, 0.2, walls=walls),
         )
         for samples in (250, 50, 0)
@@ -193,12 +195,12 @@ def test_the_recording_interval_does_not_change_the_motion(walls):
 def test_turned_frame_and_order_of_parts():
     sine, cosine = np.random.default_rng(2).normal(size=(2, 2, 3)) * [0.1, 0.1, 0.7]
     turn = np.array([[0.6, -0.8, 0], [0.8, 0.6, 0], [0, 0, 1]])
-    place, speed = np.array([[0.1, 0.02], [-0.2, 0.1]]), np.array([[0.05, 0], [0, 0.1]])
+    position, speed = np.array([[0.1, 0.02], [-0.2, 0.1]]), np.array([[0.05, 0], [0, 0.1]])
     parts = [bar(0.05, 0.01), L_SHAPE]
     angle = np.array([0.3, 1.0])
-    one = simulate_bodies(waves(0.05, sine, cosine), parts, place, angle, speed, 0, MU)
+    one = simulate_bodies(waves(0.05, sine, cosine), parts, position, angle, speed, 0, MU)
     other = simulate_bodies(
-        waves(0.05, sine @ turn.T, cosine @ turn.T), parts[::-1], place[::-1] @ turn[:2, :2].T,
+        waves(0.05, sine @ turn.T, cosine @ turn.T), parts[::-1], position[::-1] @ turn[:2, :2].T,
         angle[::-1] + np.arctan2(0.8, 0.6), speed[::-1] @ turn[:2, :2].T, 0, MU,
     )  # fmt: skip
     assert other.position[-1, ::-1] == pytest.approx(one.position[-1] @ turn[:2, :2].T, abs=1e-9)

@@ -42,9 +42,9 @@ def state(kinds, seed, pace=1.0):
     count = len(kinds)
     turn = 2 * np.pi * (np.arange(count) + 0.3 * rng.uniform(size=count)) / count
     out = np.column_stack([np.cos(turn), np.sin(turn)])
-    place = out * (0.05 + 0.01 * rng.uniform(size=(count, 1)))
+    position = out * (0.05 + 0.01 * rng.uniform(size=(count, 1)))
     speed = pace * (-out * rng.uniform(0.8, 2, (count, 1)) + 0.2 * rng.normal(size=(count, 2)))
-    return place, rng.uniform(0, 6, count), speed, rng.normal(size=count) * 15 * pace
+    return position, rng.uniform(0, 6, count), speed, rng.normal(size=count) * 15 * pace
 
 
 def amounts(parts, run):
@@ -115,9 +115,9 @@ def test_a_still_plate_gives_no_energy(scene, mu):
 @given(scenes, st.floats(0, 1.5), st.floats(0, 2), numbers, numbers)
 def test_any_finite_scene_stays_finite(scene, mu, size, lean, far):
     kinds, seed, bounce, rub = scene
-    place, angle, speed, spin = state(kinds, seed, 10.0 ** (6 * far))
+    position, angle, speed, spin = state(kinds, seed, 10.0 ** (6 * far))
     run = simulate_bodies(
-        waves(seed, size), [SHAPES[k] for k in kinds], place, angle, speed, spin, mu,
+        waves(seed, size), [SHAPES[k] for k in kinds], position, angle, speed, spin, mu,
         contacts=Contacts(bounce, rub), ground=Ground(1.2, (0.3 * lean, 0.1)), samples=16,
     )  # fmt: skip
     for values in (run.position, run.angle, run.velocity, run.spin):
@@ -129,14 +129,14 @@ def test_any_finite_scene_stays_finite(scene, mu, size, lean, far):
 def test_names_do_not_matter(scene, order):
     kinds, seed, bounce, rub = scene
     order = [i for i in order if i < len(kinds)]
-    place, angle, speed, spin = state(kinds, seed)
+    position, angle, speed, spin = state(kinds, seed)
     contacts = Contacts(bounce, rub)
     one = simulate_bodies(
-        waves(seed, 1), [SHAPES[k] for k in kinds], place, angle, speed, spin, 0.3,
+        waves(seed, 1), [SHAPES[k] for k in kinds], position, angle, speed, spin, 0.3,
         contacts=contacts,
     )  # fmt: skip
     other = simulate_bodies(
-        waves(seed, 1), [SHAPES[kinds[i]] for i in order], place[order], angle[order],
+        waves(seed, 1), [SHAPES[kinds[i]] for i in order], position[order], angle[order],
         speed[order], spin[order], 0.3, contacts=contacts,
     )  # fmt: skip
     assert other.position.tolist() == one.position[:, order].tolist()
@@ -158,19 +158,20 @@ def mirrored(part: Footprint) -> Footprint:
 def test_turned_and_mirrored_rooms_are_alike(scene, turn, mirror):
     kinds, seed, bounce, rub = scene
     kinds = kinds[:2]  # which meet once: more would magnify rounding
-    place, angle, speed, spin = state(kinds, seed)
+    position, angle, speed, spin = state(kinds, seed)
     parts, sign = [SHAPES[k] for k in kinds], np.array([1, -1 if mirror else 1])
     q = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]) * sign
     run = simulate_bodies(
-        waves(seed, 0.5), parts, place, angle, speed, spin, 0.3, contacts=Contacts(bounce, rub),
+        waves(seed, 0.5), parts, position, angle, speed, spin, 0.3, contacts=Contacts(bounce, rub),
     )  # fmt: skip
     like = simulate_bodies(
-        waves(seed, 0.5, mirror, turn), [mirrored(p) if mirror else p for p in parts], place @ q.T,
-        sign[1] * angle + turn, speed @ q.T, sign[1] * spin, 0.3, contacts=Contacts(bounce, rub),
+        waves(seed, 0.5, mirror, turn), [mirrored(p) if mirror else p for p in parts],
+        position @ q.T, sign[1] * angle + turn, speed @ q.T, sign[1] * spin, 0.3,
+        contacts=Contacts(bounce, rub),
     )  # fmt: skip
     # Some scenes magnify a shift by far less than rounding: no turned room can be nearer than that.
     shifted = simulate_bodies(
-        waves(seed, 0.5), parts, place + 1e-13, angle, speed, spin, 0.3,
+        waves(seed, 0.5), parts, position + 1e-13, angle, speed, spin, 0.3,
         contacts=Contacts(bounce, rub),
     )  # fmt: skip
     near = 1e-6 + 3 * np.max(np.abs(shifted.position - run.position))

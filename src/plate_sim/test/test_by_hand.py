@@ -92,11 +92,11 @@ def test_parts_of_other_shapes():
 def test_a_part_that_cannot_be_placed_is_refused(what, words):
     simulation = world()
     before = simulation.state
-    name, label, place, *angle = what
-    if isinstance(place, str):
-        place = before.position[before.ids.index(place)] + [0.001, 0.0]
+    name, label, position, *angle = what
+    if isinstance(position, str):
+        position = before.position[before.ids.index(position)] + [0.001, 0.0]
     with pytest.raises(PlateError) as caught:
-        simulation.place(name, label, np.array(place), *angle)
+        simulation.place(name, label, np.array(position), *angle)
     assert re.search(words, str(caught.value))
     assert len(str(caught.value)) < 300
     assert simulation.state is before
@@ -113,8 +113,8 @@ def test_no_more_parts_than_are_allowed_and_none_that_is_not_there_is_taken_off(
     with pytest.raises(PlateError, match="id is 'grey_1', allowed: none"):
         simulation.remove("grey_1")
     grid = np.stack(np.meshgrid(np.linspace(-0.28, 0.28, 12), np.linspace(-0.12, 0.12, 9)), -1)
-    for place in grid.reshape(-1, 2)[:100]:
-        simulation.place("", "black", place)
+    for position in grid.reshape(-1, 2)[:100]:
+        simulation.place("", "black", position)
     with pytest.raises(PlateError, match="100 parts exist, allowed: fewer than 100"):
         simulation.place("", "black", grid[-1, -1])
 

@@ -53,15 +53,15 @@ def test_discs_are_where_opencv_projects_them(lens):
     rig = rig_with(lens)
     camera = Camera(rig, 0.0)
     image = shoot(camera, PLACES)
-    for place in PLACES:
-        outline = seen(lens, place + ring(rig.parts.radius_m))
+    for position in PLACES:
+        outline = seen(lens, position + ring(rig.parts.radius_m))
         expected, area = centroid(outline)
         centre, weight = covered(camera, image, expected, 15)
         assert np.hypot(*(centre - expected)) < 0.02
         assert weight == pytest.approx(area, rel=0.01)
         # The remaining difference from the image of the disc's centre is the bias of perspective
         # and lens.
-        assert np.hypot(*(seen(lens, place[None])[0] - expected)) < 0.1
+        assert np.hypot(*(seen(lens, position[None])[0] - expected)) < 0.1
 
 
 @pytest.mark.parametrize("lens", LENSES)
@@ -122,8 +122,8 @@ def test_polygons_are_drawn_as_they_lie(lens):
     image = shoot(camera, PLACES, angle=angle, types=[SQUARE_TYPE] * len(PLACES))
     side = np.linspace(0, 1, 20, endpoint=False)[:, None]
     edge = (SQUARE[:, None] + side * (np.roll(SQUARE, -1, axis=0) - SQUARE)[:, None]).reshape(-1, 2)
-    for place, turn in zip(PLACES, angle, strict=True):
-        expected, area = centroid(seen(lens, to_home(np.append(place, turn), edge)))
+    for position, turn in zip(PLACES, angle, strict=True):
+        expected, area = centroid(seen(lens, to_home(np.append(position, turn), edge)))
         centre, weight = covered(camera, image, expected, 15)
         assert (
             np.hypot(*(centre - expected)) < 0.05
@@ -133,33 +133,33 @@ def test_polygons_are_drawn_as_they_lie(lens):
 
 def test_pieces_side_by_side_have_no_seam():
     """A bracket is two convex pieces; drawn as a disc less nothing it would be as dark all over."""
-    camera, place = Camera(load_rig(), 0.0), np.array([[0.013, 0.021]])
+    camera, position = Camera(load_rig(), 0.0), np.array([[0.013, 0.021]])
     corner = np.array([[0, 0], [0.03, 0], [0.03, 0.012], [0.012, 0.012], [0.012, 0.03], [0, 0.03]])
     corner = corner - moments(corner)[1]
     bracket = PartType("bracket", outline=tuple(map(tuple, corner)))
-    image = shoot(camera, place, angle=np.zeros(1), types=[bracket])
+    image = shoot(camera, position, angle=np.zeros(1), types=[bracket])
     inner = np.array([[0.006, t] for t in np.linspace(0.004, 0.026, 12)])  # across the seam
     inner = (
         inner
         - moments(
             np.array([[0, 0], [0.03, 0], [0.03, 0.012], [0.012, 0.012], [0.012, 0.03], [0, 0.03]])
         )[1]
-        + place
+        + position
     )
     u, v = np.round(to_image(load_rig(), inner)).astype(int).T
     assert np.ptp(image[v, u]) <= 2
 
 
 def test_a_hole_shows_the_plate():
-    camera, place = Camera(load_rig(), 0.0), np.array([[0.013, 0.021]])
+    camera, position = Camera(load_rig(), 0.0), np.array([[0.013, 0.021]])
     turn = 2 * np.pi * np.arange(12) / 12
     hole = tuple(zip(0.006 * np.cos(turn), 0.006 * np.sin(turn), strict=True))
     full = PartType("washer", radius_m=0.012, symmetry=0)
-    u, v = np.round(to_image(load_rig(), place)).astype(int)[0]
+    u, v = np.round(to_image(load_rig(), position)).astype(int)[0]
     bare, whole, ring = (
         shoot(camera, places, angle=np.zeros(len(places)), types=[kind] * len(places))
         for places, kind in (
-            (np.zeros((0, 2)), full), (place, full), (place, replace(full, holes=(hole,)))
+            (np.zeros((0, 2)), full), (position, full), (position, replace(full, holes=(hole,)))
         )
     )  # fmt: skip
     assert whole[v, u] < bare[v, u] - 50
@@ -173,14 +173,14 @@ def test_a_mark_shows_a_discs_angle(lens):
     camera = Camera(rig, 0.0)
     angle = np.linspace(-3, 3, len(PLACES))
     bare, marked = shoot(camera, PLACES), shoot(camera, PLACES, angle=angle)
-    for place, turn in zip(PLACES, angle, strict=True):
-        u, v = np.round(seen(lens, place[None])[0]).astype(int)
+    for position, turn in zip(PLACES, angle, strict=True):
+        u, v = np.round(seen(lens, position[None])[0]).astype(int)
         window = np.s_[v - 14 : v + 15, u - 14 : u + 15]
         weight = ((marked - bare) / light_of(camera))[window]
         y, x = np.mgrid[window]
         point = np.array([[np.sum(weight * x), np.sum(weight * y)]]) / weight.sum()
         straight = lens.straighten(point)
-        toward = project(np.linalg.inv(homography(rig)), straight)[0] - place
+        toward = project(np.linalg.inv(homography(rig)), straight)[0] - position
         assert np.hypot(*toward) == pytest.approx(0.5 * rig.parts.radius_m, rel=0.02)
         assert abs(np.angle(np.exp(1j * (np.arctan2(toward[1], toward[0]) - turn)))) < 0.02
 

@@ -90,14 +90,14 @@ def test_top_faces_are_where_opencv_projects_them(lens):
     rig = rig_with(lens)
     camera, high = Camera(rig, 0.0), np.full(len(PLACES), HEIGHT)
     image = shoot(camera, PLACES, height=high, lighting=INVISIBLE)
-    for place in PLACES:
-        expected, area = centroid(in_space(lens, place + ring(0.008), HEIGHT))
+    for position in PLACES:
+        expected, area = centroid(in_space(lens, position + ring(0.008), HEIGHT))
         centre, weight = covered(camera, image, expected)
         assert np.hypot(*(centre - expected)) < 0.02
         assert weight == pytest.approx(area, rel=0.01)
         # By far not where a flat part would be, in all but the middle.
-        flat = in_space(lens, place[None], 0)[0]
-        assert np.hypot(*(flat - expected)) > (2 if np.hypot(*place) > 0.1 else 0.2)
+        flat = in_space(lens, position[None], 0)[0]
+        assert np.hypot(*(flat - expected)) > (2 if np.hypot(*position) > 0.1 else 0.2)
 
 
 @pytest.mark.parametrize("lens", LENSES)
@@ -109,16 +109,20 @@ def test_silhouettes_are_the_union_of_all_sections(lens, kind):
     angle = np.linspace(0.3, 5, len(PLACES))
     more = {} if kind is None else {"types": [kind] * len(PLACES), "angle": angle}
     image = shoot(camera, PLACES, height=high, lighting=ONE_SHADE, **more)
-    for place, turn in zip(PLACES, angle, strict=True):
+    for position, turn in zip(PLACES, angle, strict=True):
         rotation = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
         solid = ring(0.008) if kind is None else kind.polygon
         holes = [] if kind is None else [dense(np.array(hole)) for hole in kind.holes]
         union, through = False, True
-        corner = np.round(in_space(lens, place[None], 0)[0]) - WINDOW // 2
+        corner = np.round(in_space(lens, position[None], 0)[0]) - WINDOW // 2
         for level in np.linspace(0, HEIGHT, 60):
-            union = union | mask_of(in_space(lens, place + dense(solid) @ rotation, level), corner)
+            union = union | mask_of(
+                in_space(lens, position + dense(solid) @ rotation, level), corner
+            )
             for hole in holes:
-                through = through & mask_of(in_space(lens, place + hole @ rotation, level), corner)
+                through = through & mask_of(
+                    in_space(lens, position + hole @ rotation, level), corner
+                )
         expected, area = moments_of(union & ~through if holes else union, corner)
         centre, weight = covered(camera, image, expected)
         assert np.hypot(*(centre - expected)) < 0.1
@@ -127,9 +131,9 @@ def test_silhouettes_are_the_union_of_all_sections(lens, kind):
 
 def test_side_faces_have_another_shade():
     camera = Camera(rig_with(LENSES[1]), 0.0)
-    place = PLACES[:1]
+    position = PLACES[:1]
     both, top, silhouette = (
-        shoot(camera, place, height=np.array([HEIGHT]), lighting=light)
+        shoot(camera, position, height=np.array([HEIGHT]), lighting=light)
         for light in (Lighting(side_shade=0.5), INVISIBLE, ONE_SHADE)
     )
     side = (silhouette / camera._light < BLACK + 1) & (top / camera._light > PLATE - 1)
@@ -143,14 +147,14 @@ def test_side_faces_have_another_shade():
 def test_a_part_hides_those_behind_it():
     """The nearer one to the point below the camera leans over the other one's foot."""
     rig = rig_with(LENSES[1])
-    camera, place = Camera(rig, 0.0), np.array([[0.20, 0.0], [0.217, 0.0]])
+    camera, position = Camera(rig, 0.0), np.array([[0.20, 0.0], [0.217, 0.0]])
     high = np.full(2, HEIGHT)
     for order in ([0, 1], [1, 0]):
         grey = np.array([BLACK, 130.0])[order]
         image = camera.render(
-            place[order], grey, np.random.default_rng(0), height=high, lighting=ONE_SHADE
+            position[order], grey, np.random.default_rng(0), height=high, lighting=ONE_SHADE
         )
-        u, v = np.round(in_space(LENSES[1], place[:1] + [0.0075, 0], HEIGHT)[0]).astype(int)
+        u, v = np.round(in_space(LENSES[1], position[:1] + [0.0075, 0], HEIGHT)[0]).astype(int)
         assert image[v, u] < 60
 
 
@@ -159,31 +163,31 @@ def test_shadows_are_as_long_and_as_dark_as_set(length):
     """Along the light from the part's middle: dark from the rim on, light again after the length,
     half of it there."""
     rig = load_rig()
-    camera, place = Camera(rig, 0.0), np.array([[0.05, 0.02]])
+    camera, position = Camera(rig, 0.0), np.array([[0.05, 0.02]])
     light = Lighting(shadows=0.6, shadow_m=length, shadow_deg=30.0, penumbra_m=0.004)
-    image, bare = shoot(camera, place, lighting=light), shoot(camera, place[:0])
+    image, bare = shoot(camera, position, lighting=light), shoot(camera, position[:0])
     way = np.array([np.cos(np.pi / 6), np.sin(np.pi / 6)])
     along = np.arange(0, 0.03, 1e-4)
-    u, v = seen(camera, place + along[:, None] * way).T.astype(np.float32)
+    u, v = seen(camera, position + along[:, None] * way).T.astype(np.float32)
     part = cv2.remap(image / bare, u, v, cv2.INTER_LINEAR).ravel()
     beyond = along > 0.0095
     assert np.allclose(part[beyond & (along < 0.008 + length - 0.0025)], 0.4, atol=0.02)
     assert np.allclose(part[along > 0.008 + length + 0.0035], 1.0, atol=0.01)
     half = along[np.flatnonzero(part < 0.7)[-1]]
     assert half == pytest.approx(0.008 + length, abs=5e-4)
-    u, v = seen(camera, place - 0.011 * way).T.astype(np.float32)
+    u, v = seen(camera, position - 0.011 * way).T.astype(np.float32)
     assert cv2.remap(image / bare, u, v, cv2.INTER_LINEAR).item() == pytest.approx(1.0, abs=0.01)
 
 
 def test_gloss_is_a_bright_disc_towards_the_lamp():
-    camera, place = Camera(load_rig(), 0.0), np.array([[0.05, 0.02]])
-    image = shoot(camera, place, lighting=Lighting(gloss=0.3, shadow_deg=90.0))
-    dull = shoot(camera, place)
+    camera, position = Camera(load_rig(), 0.0), np.array([[0.05, 0.02]])
+    image = shoot(camera, position, lighting=Lighting(gloss=0.3, shadow_deg=90.0))
+    dull = shoot(camera, position)
     weight = (image - dull) / camera._light / (255 - BLACK)
     scale = np.linalg.norm(np.diff(seen(camera, [[0, 0], [1e-2, 0]]), axis=0))
     assert weight.sum() == pytest.approx(np.pi * (0.3 * 0.8 * scale) ** 2, rel=0.03)
     v = np.arange(480)[:, None]
-    middle = seen(camera, place)[0]
+    middle = seen(camera, position)[0]
     assert np.sum(weight * v) / weight.sum() > middle[1] + 1  # -y is down in the image
     assert image.max() > dull.max()
 
@@ -201,10 +205,10 @@ def test_sizes_scale_outlines_and_marks():
     camera, angle = Camera(rig, 0.0), np.zeros(len(PLACES))
     size = np.linspace(0.7, 1.3, len(PLACES))
     image = shoot(camera, PLACES, size=size, types=[BRACKET] * len(PLACES), angle=angle)
-    for place, factor in zip(PLACES, size, strict=True):
+    for position, factor in zip(PLACES, size, strict=True):
         larger = replace(BRACKET, outline=tuple(map(tuple, (factor * CORNERS).tolist())))
-        alone = shoot(camera, place[None], types=[larger], angle=angle[:1])
-        u, v = np.round(seen(camera, place)[0]).astype(int)
+        alone = shoot(camera, position[None], types=[larger], angle=angle[:1])
+        u, v = np.round(seen(camera, position)[0]).astype(int)
         window = np.s_[v - 30 : v + 31, u - 30 : u + 31]
         assert np.abs(image[window] - alone[window]).max() <= 1
 

@@ -155,12 +155,12 @@ def test_a_disc_meets_a_wall_as_on_paper(friction):
 
 def crowd(count, rng, speed=0.3, spread=0.9):
     """Discs at random, apart from each other."""
-    place = [rng.uniform(-1, 1, 2) * spread * (RIG.plate.half - RADIUS)]
-    while len(place) < count:
+    position = [rng.uniform(-1, 1, 2) * spread * (RIG.plate.half - RADIUS)]
+    while len(position) < count:
         new = rng.uniform(-1, 1, 2) * spread * (RIG.plate.half - RADIUS)
-        if np.min(np.linalg.norm(np.array(place) - new, axis=1)) > 2.1 * RADIUS:
-            place.append(new)
-    return discs(np.array(place), rng.normal(0, speed, (count, 2)))
+        if np.min(np.linalg.norm(np.array(position) - new, axis=1)) > 2.1 * RADIUS:
+            position.append(new)
+    return discs(np.array(position), rng.normal(0, speed, (count, 2)))
 
 
 def shaken(rng, scale=1.0):
@@ -244,8 +244,8 @@ def test_a_full_tray_stays_in_its_walls_and_apart(seed):
     assert np.all(np.isfinite(run.position))
     assert np.all(np.isfinite(run.velocity))
     assert deepest_overlap(run.position) < 1e-4
-    place = to_plate(cycle.pose(cycle.period)[0], end.position)
-    assert np.all(np.abs(place) < RIG.plate.half - RADIUS + 1e-4)
+    position = to_plate(cycle.pose(cycle.period)[0], end.position)
+    assert np.all(np.abs(position) < RIG.plate.half - RADIUS + 1e-4)
 
 
 def test_wrong_starts_are_refused_by_name():
@@ -271,16 +271,16 @@ def test_wrong_starts_are_refused_by_name():
 
 
 def test_parts_are_refused_that_cannot_be_run():
-    still, place, rest = np.zeros((2, 2)), np.array([[0, 0], [0.1, 0]]), PlateCycle.rest(0.01)
+    still, position, rest = np.zeros((2, 2)), np.array([[0, 0], [0.1, 0]]), PlateCycle.rest(0.01)
     rims = {"contacts": Contacts(), "half": RIG.plate.half}
     with pytest.raises(PlateError, match=r"cycles is 2, allowed: 1"):
         simulate_bodies(
-            PlateMotion.of_cycle(rest), disc(RADIUS), place, 0, still, 0, 0.2, cycles=2, **rims
+            PlateMotion.of_cycle(rest), disc(RADIUS), position, 0, still, 0, 0.2, cycles=2, **rims
         )
     with pytest.raises(PlateError, match="parts 0 and 1 overlap by 6 mm"):
-        simulate_bodies(rest, disc(RADIUS), 0.1 * place, 0, still, 0, 0.2, **rims)
+        simulate_bodies(rest, disc(RADIUS), 0.1 * position, 0, still, 0, 0.2, **rims)
     with pytest.raises(PlateError, match="step is 0"):
-        simulate_bodies(rest, disc(RADIUS), place, 0, still, 0, 0.2, step=0, **rims)
+        simulate_bodies(rest, disc(RADIUS), position, 0, still, 0, 0.2, step=0, **rims)
 
 
 def test_the_end_alone_is_the_end_of_the_run():

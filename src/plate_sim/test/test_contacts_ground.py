@@ -114,13 +114,13 @@ def test_a_motion_need_not_start_at_home_nor_end_where_it_starts():
     # In the plate's corner: beyond the walls of a plate at home, and of one turned back.
     c, s = np.cos(0.1), np.sin(0.1)
     corner = HALF - RADIUS - 1e-6
-    place = np.array([[c * corner[0] - s * corner[1], s * corner[0] + c * corner[1]]])
-    place += [0.05, -0.02]
-    path, speed = run(motion, place, [[0.5, 0]], 100, walls=True)
-    assert path[-1, 0] == pytest.approx(place[0] + [0.05, 0], abs=1e-12)
+    position = np.array([[c * corner[0] - s * corner[1], s * corner[0] + c * corner[1]]])
+    position += [0.05, -0.02]
+    path, speed = run(motion, position, [[0.5, 0]], 100, walls=True)
+    assert path[-1, 0] == pytest.approx(position[0] + [0.05, 0], abs=1e-12)
     assert speed[-1, 0] == pytest.approx([0.5, 0], abs=1e-12)
     # And it is pushed by the wall where that is.
-    path, speed = run(motion, place, [[3.0, 0]], 1000, walls=True)
+    path, speed = run(motion, position, [[3.0, 0]], 1000, walls=True)
     rim = path[1:, 0] - motion.pose(np.linspace(0, 0.1, 1001)[1:])[:, :2]
     along = c * rim[:, 0] + s * rim[:, 1]
     assert along.max() <= corner[0] + 1.1e-6 + 1e-12

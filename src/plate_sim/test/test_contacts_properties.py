@@ -21,16 +21,18 @@ some = settings(max_examples=25, deadline=None, derandomize=True, database=None)
 
 
 @st.composite
-def crowds(draw, most=24):
+def crowds(draw, max_parts=24):
     """Places (M, 2) [m] of discs apart from each other, and velocities [m/s]: rest to 1 m/s."""
-    columns, lines = draw(st.integers(1, 6)), draw(st.integers(1, most // 6))
+    columns, lines = draw(st.integers(1, 6)), draw(st.integers(1, max_parts // 6))
     spacing = 2 * RADIUS + draw(st.sampled_from([1e-9, 1e-4, 4e-3]))
     seed, speed = draw(st.integers(0, 2**32 - 1)), draw(st.sampled_from([0.0, 0.05, 0.5, 1.0]))
     rng = np.random.default_rng(seed)
     x, y = np.meshgrid(np.arange(columns), np.arange(lines))
-    place = np.stack([x - columns / 2 + 0.5, y - lines / 2 + 0.5], axis=-1).reshape(-1, 2) * spacing
-    shift = 0.4 * (spacing - 2 * RADIUS) * rng.uniform(-1, 1, place.shape)
-    return place + shift, speed * rng.normal(size=place.shape)
+    position = (
+        np.stack([x - columns / 2 + 0.5, y - lines / 2 + 0.5], axis=-1).reshape(-1, 2) * spacing
+    )
+    shift = 0.4 * (spacing - 2 * RADIUS) * rng.uniform(-1, 1, position.shape)
+    return position + shift, speed * rng.normal(size=position.shape)
 
 
 contacts = st.builds(Contacts, st.floats(0, 1), st.sampled_from([0.0, 0.3, 5.0]), st.booleans())
@@ -45,10 +47,10 @@ def shakes(draw):
     return PlateCycle.from_samples(0.06, size * rng.normal(size=(10, 3)) * [1, 1, 4])
 
 
-def run_discs(cycle, place, velocity, mu, half, contacts, steps, cycles=1, ground=LEVEL):
+def run_discs(cycle, position, velocity, mu, half, contacts, steps, cycles=1, ground=LEVEL):
     """The motion of discs at every step."""
     return simulate_bodies(
-        cycle, disc(RADIUS), place, 0, velocity, 0, mu, 9.81, cycles, steps, contacts=contacts,
+        cycle, disc(RADIUS), position, 0, velocity, 0, mu, 9.81, cycles, steps, contacts=contacts,
         ground=ground, half=half, step=cycle.period / steps,
     )  # fmt: skip
 
@@ -119,7 +121,7 @@ def turned(angle, mirror):
 )  # fmt: skip
 def test_turned_and_mirrored_frames_give_the_same(offset, speed, restitution, cycle, angle, mirror):
     # Three discs, of which two meet: a chain of hits would amplify rounding without bound.
-    place = np.array([[-0.02, offset], [0.02, 0.0], [0.0, 0.1]])
+    position = np.array([[-0.02, offset], [0.02, 0.0], [0.0, 0.1]])
     velocity = np.array([[speed, 0.0], [-0.1, 0.0], [0.0, 0.2]])
     frame = turned(angle, mirror)
     pose = cycle.knot_pose[:-1].copy()
@@ -127,7 +129,7 @@ def test_turned_and_mirrored_frames_give_the_same(offset, speed, restitution, cy
     pose[:, 2] *= -1 if mirror else 1
     other_cycle = PlateCycle.from_samples(cycle.period, pose)
     contact = Contacts(restitution, 0.2)
-    run = run_discs(cycle, place, velocity, 0.3, WIDE, contact, 200)
-    turned_start = place @ frame.T, velocity @ frame.T
+    run = run_discs(cycle, position, velocity, 0.3, WIDE, contact, 200)
+    turned_start = position @ frame.T, velocity @ frame.T
     other = run_discs(other_cycle, *turned_start, 0.3, WIDE, contact, 200)
     assert np.abs(other.position - run.position @ frame.T).max() < 1e-9

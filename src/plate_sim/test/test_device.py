@@ -97,10 +97,10 @@ def test_line_has_the_requested_faults():
     for name, expected in (("dropped", 0.99), ("repeated", 1.01), ("corrupted", 1.0)):
         line = Line(LineFaults(**{name: 0.01}), np.random.default_rng(1))
         line.sent(data, 0.0)
-        came = line.arrived(0.0)
-        assert len(came) / len(data) == pytest.approx(expected, abs=1e-3)
-        assert came != data
-    changed = np.frombuffer(came, np.uint8) != np.frombuffer(data, np.uint8)
+        received = line.arrived(0.0)
+        assert len(received) / len(data) == pytest.approx(expected, abs=1e-3)
+        assert received != data
+    changed = np.frombuffer(received, np.uint8) != np.frombuffer(data, np.uint8)
     assert np.mean(changed) == pytest.approx(0.01, abs=1e-3)
 
 

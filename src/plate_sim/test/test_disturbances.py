@@ -86,11 +86,11 @@ def test_patches_have_their_wavelength():
     for d in (0.02, 0.05, 0.1):
         heights = []
         for k in range(150):
-            place = np.array([[0.01, 0.02], [0.01 + d, 0.02], [0.01, 0.02 + d]])
+            position = np.array([[0.01, 0.02], [0.01 + d, 0.02], [0.01, 0.02 + d]])
             field = FrictionField.draw(
                 Disturbances(friction_patches=0.5), 3, np.random.default_rng(k)
             )
-            heights.append(np.sqrt(2) * erfinv((field.friction(1.0, place, HOME) - 1) / 0.5))
+            heights.append(np.sqrt(2) * erfinv((field.friction(1.0, position, HOME) - 1) / 0.5))
         height = np.array(heights)
         correlation = np.mean(height[:, :1] * height[:, 1:])
         assert correlation == pytest.approx(j0(2 * np.pi * d / WAVELENGTH), abs=0.25)

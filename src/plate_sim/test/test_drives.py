@@ -24,10 +24,10 @@ DRIVES = [Drive(node, 1e6, -1 if node == 2 else 1) for node in (1, 2, 3, 4)]
 LIMITS = Limits(0.01, 1.0, 100.0)
 
 
-def frames(drives, place, word=15):
+def frames(drives, position, word=15):
     """Frames of a master in one cycle: all motors to a position [m]."""
     reported = [
-        (RPDO + d.node, struct.pack("<Hi", word, round(d.sign * d.counts_per_m * place) + zero))
+        (RPDO + d.node, struct.pack("<Hi", word, round(d.sign * d.counts_per_m * position) + zero))
         for d, zero in zip(DRIVES, drives.zeros.tolist(), strict=True)
     ]
     return [*reported, (SYNC, b"")]
@@ -54,8 +54,8 @@ def test_a_drive_follows_the_equation_of_motion():
     end = CYCLE_S * (len(places) - 1)
     truth = solve_ivp(change, (0, end), [0, 0], max_step=1e-5, t_eval=np.arange(1, 15) * 1e-3)
     seen = []
-    for place in places[1:]:
-        drives.receive(frames(drives, place))
+    for position in places[1:]:
+        drives.receive(frames(drives, position))
         for _ in range(2):
             drives.passed()
             seen.append(drives.motors[:2].copy())
@@ -66,12 +66,12 @@ def test_a_drive_follows_the_equation_of_motion():
 ODRIVES = [Drive(n, 25 * 2.0**20, -1 if n == 2 else 1, kind="odrive") for n in (1, 2, 3, 4)]
 
 
-def odrive_frames(drives, place, speed=0.0):
+def odrive_frames(drives, position, speed=0.0):
     """Frames of a master in one cycle: all motors to a position [m], with their speed [m/s]."""
     return [
         (d.node << 5 | 0x0C, struct.pack("<fhh", turns, round(25e3 * d.sign * speed), 0))
         for d, zero in zip(ODRIVES, drives.zeros.tolist(), strict=True)
-        for turns in [25 * d.sign * place + zero / 2**20]
+        for turns in [25 * d.sign * position + zero / 2**20]
     ]
 
 
@@ -108,8 +108,8 @@ def test_an_odrive_without_messages_disarms():
 def test_the_check_sees_setpoints_of_odrives_beyond_limits():
     drives = SimulatedODrives(ODRIVES)
     check = SetpointCheck(ODRIVES, drives.zeros, LIMITS)
-    for place in (0.0, 0.0021, 0.0042):
-        check.receive(odrive_frames(drives, place), True)
+    for position in (0.0, 0.0021, 0.0042):
+        check.receive(odrive_frames(drives, position), True)
     assert check.fractions[1] == pytest.approx(1.05, rel=1e-3)
 
 
@@ -136,8 +136,8 @@ def test_only_the_states_in_order_give_current():
 def test_the_judge_sees_what_is_beyond(places, share, value):
     drives = enabled()
     check = SetpointCheck(DRIVES, drives.zeros, LIMITS)
-    for place in places:
-        check.receive(frames(drives, place), True)
+    for position in places:
+        check.receive(frames(drives, position), True)
     assert check.fractions[share] == pytest.approx(value, rel=1e-3)
     before = check.fractions.copy()
     check.receive(frames(drives, 1.0), False)  # without current nothing counts

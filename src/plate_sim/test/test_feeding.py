@@ -74,14 +74,14 @@ def test_a_heap_is_dense_and_nothing_lies_on_another(scenario, seed):
 
 
 def test_a_few_parts_come_to_lie_within_the_spread():
-    place = []
+    position = []
     for seed in range(60):
         simulation = world(seed=seed, parts=False)
         simulation.open_hopper(0.1)
         run(simulation, 1)
-        place.append(simulation.state.position[0])
+        position.append(simulation.state.position[0])
     hopper = load_scenario("feed").task.hopper
-    far = np.hypot(*(np.array(place) - hopper.place).T) / hopper.spread_m
+    far = np.hypot(*(np.array(position) - hopper.place).T) / hopper.spread_m
     assert np.all(far <= 1)
     # Evenly over a disc the square of the distance is even from 0 to 1: within 4 standard errors
     assert np.mean(far**2) == pytest.approx(0.5, abs=4 / np.sqrt(12 * 60))
@@ -238,12 +238,12 @@ def test_a_hopper_can_be_opened_only_if_the_scenario_has_one():
 def test_the_robot_hides_what_is_below_it_and_nothing_else(scenario):
     simulation = world(scenario, noise=0.0)
     before = simulation.capture().astype(float)
-    place = simulation.state.position[0]
-    assert simulation.move_robot(Move.OVER, *place).success
+    position = simulation.state.position[0]
+    assert simulation.move_robot(Move.OVER, *position).success
     over = simulation.capture().astype(float)
     assert over.shape == before.shape
     changed = np.abs(over - before).reshape(*over.shape[:2], -1).max(axis=2) > 1
-    places = simulation._view._camera._places - place
+    places = simulation._view._camera._places - position
     arm = (np.abs(places[..., 0]) < 0.029) & (places[..., 1] > 0)
     # In the image of the arm, only pixels with its grey value are unchanged.
     assert np.mean(changed[arm]) > 0.99
@@ -269,12 +269,12 @@ def test_errors_of_a_grip_are_true_but_for_symmetry(scenario, symmetry):
     simulation = world(scenario)
     for name in simulation.state.ids:
         row = simulation.state.ids.index(name)
-        place, angle = simulation.state.position[row], simulation.state.angle[row]
+        position, angle = simulation.state.position[row], simulation.state.angle[row]
         way = rng.normal(size=2)
         way *= 0.9 * GRIP_REACH_M * rng.random() / np.hypot(*way)
         error = rng.uniform(-1, 1) * np.pi / symmetry
         turns = rng.integers(-3, 4) * 2 * np.pi / symmetry
-        grip = simulation.move_robot(Move.GRIP, *(place + way), angle - error + turns)
+        grip = simulation.move_robot(Move.GRIP, *(position + way), angle - error + turns)
         assert (grip.success, grip.id) == (True, name)
         assert grip.error_m == pytest.approx(np.hypot(*way))
         assert grip.error_rad == pytest.approx(error)
@@ -297,9 +297,9 @@ def test_round_parts_have_an_angle_only_if_they_are_marked():
 
 def test_a_grip_beside_all_parts_takes_none_and_reports_it():
     simulation = world()
-    place = simulation.state.position[4]
+    position = simulation.state.position[4]
     before = simulation.state
-    grip = simulation.move_robot(Move.GRIP, *(place + [0.0, 1.004 * GRIP_REACH_M]))
+    grip = simulation.move_robot(Move.GRIP, *(position + [0.0, 1.004 * GRIP_REACH_M]))
     assert (grip.success, grip.id) == (False, "")
     assert grip.error_m == pytest.approx(1.004 * GRIP_REACH_M)
     assert "no part within 5 mm of" in grip.message
@@ -308,12 +308,12 @@ def test_a_grip_beside_all_parts_takes_none_and_reports_it():
 
 
 def test_a_neighbour_in_the_jaws_is_reported():
-    simulation, place = world(parts=False), np.array([0.1, 0.0])
+    simulation, position = world(parts=False), np.array([0.1, 0.0])
     for x in (0.0, 0.018, 0.06):
-        simulation.place("", "black", place + [x, 0.0])
-    grip = simulation.move_robot(Move.GRIP, *place)
+        simulation.place("", "black", position + [x, 0.0])
+    grip = simulation.move_robot(Move.GRIP, *position)
     assert grip.message == "black_1 is taken, another is 2.0 mm beside it"
-    grip = simulation.move_robot(Move.GRIP, *(place + [0.018, 0.0]))
+    grip = simulation.move_robot(Move.GRIP, *(position + [0.018, 0.0]))
     assert grip.message == "black_2 is taken"
 
 
@@ -323,13 +323,13 @@ def test_grips_fail_at_the_requested_rate_and_move_the_part_a_little():
         simulation = world("feed_bars", seed, Disturbances(pick_failure=share))
         for name in simulation.state.ids:
             row = simulation.state.ids.index(name)
-            place, angle = simulation.state.position[row], simulation.state.angle[row]
-            grip = simulation.move_robot(Move.GRIP, *place, angle)
+            position, angle = simulation.state.position[row], simulation.state.angle[row]
+            grip = simulation.move_robot(Move.GRIP, *position, angle)
             assert grip.id == name
             assert grip.success != simulation.state.on_plate[row]
             assert grip.message.startswith(f"{name} {'is taken' if grip.success else 'slipped'}")
             count, slipped = count + 1, slipped + (not grip.success)
-            moved = np.hypot(*(simulation.state.position[row] - place))
+            moved = np.hypot(*(simulation.state.position[row] - position))
             turned = abs(simulation.state.angle[row] - angle)
             assert moved <= NUDGE_M
             assert turned <= NUDGE_RAD
@@ -342,8 +342,8 @@ def test_a_part_that_slips_from_the_gripper_does_not_overlap_others():
     simulation.open_hopper(3.0)
     run(simulation, 31)
     before = simulation.state.position
-    for place in before:
-        assert not simulation.move_robot(Move.GRIP, *place).success
+    for position in before:
+        assert not simulation.move_robot(Move.GRIP, *position).success
     assert np.all(free_gap(lying(simulation), DISCS) > 0)
     assert np.count_nonzero(np.any(simulation.state.position != before, axis=1)) > 3
     run(simulation, 2)
@@ -351,8 +351,8 @@ def test_a_part_that_slips_from_the_gripper_does_not_overlap_others():
 
 def test_the_rate_of_failures_may_change_meanwhile():
     simulation = world(disturbances=Disturbances(pick_failure=1.0))
-    place = simulation.state.position[0]
-    assert not simulation.move_robot(Move.GRIP, *place).success
+    position = simulation.state.position[0]
+    assert not simulation.move_robot(Move.GRIP, *position).success
     simulation.change(NONE, 2.0, 1.0)
     assert simulation.move_robot(Move.GRIP, *simulation.state.position[0]).success
 
@@ -378,20 +378,20 @@ def test_impossible_robot_moves_are_refused(move, words):
 # Parts that have left the plate
 
 
-def dark(image, simulation, place):
+def dark(image, simulation, position):
     """Whether an image shows a black part at a place."""
-    near = np.hypot(*(simulation._view._camera._places - place).transpose(2, 0, 1)) < 0.005
+    near = np.hypot(*(simulation._view._camera._places - position).transpose(2, 0, 1)) < 0.005
     return np.mean(image[near]) < 80
 
 
 def test_late_images_show_parts_and_robot_as_they_were():
     late = Disturbances(latency=0.15)
     simulation = world(disturbances=late, parts=False, mix={"black": 1.0})
-    place = np.array([0.1, 0.0])
-    simulation.place("", "black", place)
+    position = np.array([0.1, 0.0])
+    simulation.place("", "black", position)
     run(simulation, 3)
-    assert dark(simulation.capture(), simulation, place)
-    simulation.move_robot(Move.GRIP, *place)
+    assert dark(simulation.capture(), simulation, position)
+    simulation.move_robot(Move.GRIP, *position)
     simulation.move_robot(Move.AWAY)
     simulation.open_hopper(0.1)
     shown = []
@@ -399,15 +399,15 @@ def test_late_images_show_parts_and_robot_as_they_were():
         simulation.run(REST)
         image = simulation.capture()
         new = simulation.state.position[simulation.state.ids.index("black_2")]
-        shown.append((dark(image, simulation, place), dark(image, simulation, new)))
+        shown.append((dark(image, simulation, position), dark(image, simulation, new)))
     # It was taken at 0 s, and the other one dropped at 0.1 s.
     assert shown == [(True, False), (False, False), (False, True)]
-    simulation.move_robot(Move.OVER, *place)
+    simulation.move_robot(Move.OVER, *position)
     still = []
     for _ in range(3):
         image = simulation.capture().astype(float)
         simulation.run(REST)
-        near = np.hypot(*(simulation._view._camera._places - place).transpose(2, 0, 1)) < 0.015
+        near = np.hypot(*(simulation._view._camera._places - position).transpose(2, 0, 1)) < 0.015
         still.append(np.mean(image[near]) > 150)  # the plate, not the gripper
     assert still == [True, True, False]
 
@@ -418,13 +418,13 @@ def test_the_next_image_shows_what_came_and_what_was_taken(readout):
     task = load_scenario("feed")
     feed = replace(task.task, hopper=replace(task.task.hopper, mix={"black": 1.0}))
     simulation = Simulation(rig, replace(task, task=feed))
-    place = simulation.state.position[0]
+    position = simulation.state.position[0]
     simulation.open_hopper(0.1)
     simulation.run(REST)
-    simulation.move_robot(Move.GRIP, *place)
+    simulation.move_robot(Move.GRIP, *position)
     simulation.move_robot(Move.AWAY)
     image = simulation.capture()
-    assert not dark(image, simulation, place)
+    assert not dark(image, simulation, position)
     assert dark(image, simulation, simulation.state.position[-1])
 
 
@@ -480,8 +480,8 @@ def test_a_long_production_stays_as_small_as_it_was(world_of):
     for k in range(300):
         here = np.flatnonzero(simulation.state.on_plate)
         if k % 2 == 0 and len(here) > 8:
-            place = simulation.state.position[rng.choice(here)]
-            taken += simulation.move_robot(Move.GRIP, *place).success
+            position = simulation.state.position[rng.choice(here)]
+            taken += simulation.move_robot(Move.GRIP, *position).success
         elif k % 2:
             simulation.move_robot(Move.AWAY)
         if len(here) < 12:

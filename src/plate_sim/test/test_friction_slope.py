@@ -87,8 +87,8 @@ def test_a_part_that_slides_on_is_braked_by_its_changing_weight(part):
 @pytest.mark.parametrize("heave", [0.1, -0.1])
 def test_a_part_rides_where_its_weight_is_least(heave):
     """mu (g - r a) holds it up to mu g/(1 + mu r), on whichever side of the swing."""
-    most = 1 / (1 + MU * abs(heave))
-    for gamma, rides in ((0.998 * most, True), (1.002 * most, False)):
+    maximum = 1 / (1 + MU * abs(heave))
+    for gamma, rides in ((0.998 * maximum, True), (1.002 * maximum, False)):
         cycle = shaken(gamma)
         start = cycle.twist(0.0)[0, :2]
         ends = run(disc(RADIUS), start, 0, 0, None, cycle, heave)

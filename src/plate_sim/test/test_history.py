@@ -14,11 +14,11 @@ RIG = load_rig()
 def passage(start, period=0.1, count=11, accel=2.0, there=True):
     """One part that accelerates evenly for `period` from a start (t, place, velocity)."""
     t = np.linspace(0, period, count)
-    place = start[0] + start[1] * t + 0.5 * accel * t**2
+    position = start[0] + start[1] * t + 0.5 * accel * t**2
     run = BodyTrajectory(
         t,
-        np.stack([place, 0 * t], -1)[:, None],
-        3 * place[:, None],
+        np.stack([position, 0 * t], -1)[:, None],
+        3 * position[:, None],
         np.stack([start[1] + accel * t, 0 * t], -1)[:, None],
         3 * (start[1] + accel * t)[:, None],
         np.array([there]),

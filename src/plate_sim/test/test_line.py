@@ -34,10 +34,10 @@ def scenes(seed, count):
 
 def test_agrees_with_the_world_in_small_steps():
     for cycle, velocity, mu, ground, _ in scenes(0, 24):
-        place = np.zeros((3, 2))
-        exact = simulate(cycle, place, velocity, mu, cycles=3, samples=1, ground=ground)
+        position = np.zeros((3, 2))
+        exact = simulate(cycle, position, velocity, mu, cycles=3, samples=1, ground=ground)
         steps = simulate_bodies(
-            cycle, disc(0.01), place, 0, velocity, 0, mu, cycles=3, samples=0, ground=ground,
+            cycle, disc(0.01), position, 0, velocity, 0, mu, cycles=3, samples=0, ground=ground,
             step=cycle.period / 20_000,
         )  # fmt: skip
         assert steps.position[-1] == pytest.approx(exact.position[-1], abs=5e-6)

@@ -335,9 +335,9 @@ def test_the_world_changes_while_it_runs_where_it_can():
         assert not set_parameters(loop, friction_spread=0.4, mu_scale=1.2, shadows=0.5, tilt_x=0.01)
         assert loop.simulator._simulation.disturbances.shadows == 0.5
         assert np.ptp(loop.simulator._simulation.mu) > 0
-        most = RANGES["tilt_x"][1]
-        assert "tilt" in set_parameters(loop, tilt_x=most, tilt_y=most)
-        assert (loop.simulator.options.tilt_x, loop.simulator.options.tilt_y) == (most, 0.0)
+        max_tilt = RANGES["tilt_x"][1]
+        assert "tilt" in set_parameters(loop, tilt_x=max_tilt, tilt_y=max_tilt)
+        assert (loop.simulator.options.tilt_x, loop.simulator.options.tilt_y) == (max_tilt, 0.0)
         assert not set_parameters(loop, noise=3.0)  # refused messages are forgotten
         assert "not active" in set_parameters(loop, latency=0.1)
         assert "rate is 2 in lockstep, allowed: 1" in set_parameters(loop, rate=2.0)

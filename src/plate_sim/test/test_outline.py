@@ -74,8 +74,8 @@ def test_parts_of_types_move_turn_and_keep_apart():
     pose[:, 0] = 0.006 * (np.sin(t) + 0.25 * np.sin(2 * t))
     pose[:, 2] = 0.05 * (np.sin(t + 1) + 0.25 * np.sin(2 * t))
     cycle = PlateCycle.from_samples(period, pose)
-    place = np.array([[0.0, 0.02], [0.0245, 0.02]])
-    state = WorldState.at_rest(("bar_1", "bar_2"), place)
+    position = np.array([[0.0, 0.02], [0.0245, 0.02]])
+    state = WorldState.at_rest(("bar_1", "bar_2"), position)
     for _ in range(10):
         state = run_cycle(state, cycle, RIG)
         along = state.position[1] - state.position[0]

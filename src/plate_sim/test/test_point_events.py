@@ -165,10 +165,10 @@ def test_the_best_line_motion_comes_near_a_t_over_16():
     accel = np.select([t < knots[1], t < knots[2]], [0, -a], a)
     accel[[0, -1]] = 0.5 * a
     speed = a * (period / 16 - np.interp(t, knots, [0, 0, period / 4, 0]))
-    place = np.concatenate([[0], np.cumsum(np.diff(t) * (speed[1:] + speed[:-1]) / 2)])
-    place -= place[-1] * t / period  # rounding of the rule where the acceleration jumps
+    position = np.concatenate([[0], np.cumsum(np.diff(t) * (speed[1:] + speed[:-1]) / 2)])
+    position -= position[-1] * t / period  # rounding of the rule where the acceleration jumps
     states = np.zeros((3, len(t), 3))
-    states[:, :, 0] = place, speed, accel
+    states[:, :, 0] = position, speed, accel
     cycle = PlateCycle.from_knots(t, *states)
     start = [[0.9 * a * period / 16, 0]]
     run = simulate(cycle, STILL, start, 0.01, G, cycles=1000, samples=1, tolerance=1e-9)

@@ -74,7 +74,7 @@ def integrated(suspension, cycle, samples):
     share, lags = np.linalg.pinv(PUSH), np.isfinite(suspension.motor_bandwidth_hz)
     of_mass, of_damping, of_stiffness = suspension.feedforward
 
-    def asked(t, q, v):
+    def required_force(t, q, v):
         c, cd, cdd = cycle.pose(t)[0], cycle.twist(t)[0], cycle.accel(t)[0]
         ahead = of_mass * mass @ cdd + of_damping * damping @ cd + of_stiffness * stiffness @ c
         stiff, damped = suspension.servo
@@ -82,9 +82,11 @@ def integrated(suspension, cycle, samples):
 
     def rates(t, z):
         q, v = z[:3], z[3:6]
-        force = z[6:] if lags else asked(t, q, v)
+        force = z[6:] if lags else required_force(t, q, v)
         accel = np.linalg.solve(mass, PUSH @ force - damping @ v - stiffness @ q)
-        return np.concatenate([v, accel, corner * (asked(t, q, v) - force) if lags else []])
+        return np.concatenate(
+            [v, accel, corner * (required_force(t, q, v) - force) if lags else []]
+        )
 
     z, rows = np.zeros(10 if lags else 6), []
     for begin, end in zip(cycle.times[:-1], cycle.times[1:], strict=True):

@@ -335,9 +335,9 @@ def cycles(rig, **options):
 
 def exclusive() -> Goal:
     """Two parts that exclude each other: no descent is ever good enough."""
-    place = np.array([[0.0, 0.0], [0.001, 0.0]])
+    position = np.array([[0.0, 0.0], [0.001, 0.0]])
     aim = np.array([[0.03, 0.0], [-0.03, 0.0]])
-    return Goal(place, 0 * place, aim, 0 * place, np.full(2, 2.0))
+    return Goal(position, 0 * position, aim, 0 * position, np.full(2, 2.0))
 
 
 def test_a_search_ends_so_early_that_its_answer_is_there_in_time(rig, monkeypatch):

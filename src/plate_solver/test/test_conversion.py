@@ -63,8 +63,8 @@ def test_a_torque_becomes_a_rotation(heavy):
 
 def test_forces_that_lead_off_the_plate_are_cut_at_the_edge(heavy):
     half = heavy.plate.half
-    place = np.array([half - RADIUS_M - [0.001, 0.1]])
-    goal = goal_of(heavy, CycleRequest.make(moving(place), np.full((1, 2), 1.0), period=0.1))
+    position = np.array([half - RADIUS_M - [0.001, 0.1]])
+    goal = goal_of(heavy, CycleRequest.make(moving(position), np.full((1, 2), 1.0), period=0.1))
     assert goal.displacement[0] == pytest.approx([0.001, 0.1])
     assert np.all(goal.tolerance == 0)
 
@@ -257,9 +257,9 @@ def test_each_step_gives_the_same_for_the_same_input_and_leaves_the_input_alone(
 def test_a_part_leaves_the_plate_only_where_its_goal_lies(rig, at, to, end, leaves):
     """Along x, of a plate that is 0.3 m long to either side."""
     assert rig.plate.half[0] == 0.3
-    place, target = np.array([[at, 0.0]]), np.array([[to, 0.0]])
+    position, target = np.array([[at, 0.0]]), np.array([[to, 0.0]])
     request = CycleRequest.make(
-        Parts.make(IDS[:1], place), targets=Targets(target, target, np.ones((1, 2)))
+        Parts.make(IDS[:1], position), targets=Targets(target, target, np.ones((1, 2)))
     )
     start = predict_start(rig, request, Memory(), None, False, False)
     goal = form_goal(rig, request, start, 0.1, 0.0, False)

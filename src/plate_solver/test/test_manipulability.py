@@ -33,40 +33,40 @@ def scipy_force(matrix, direction):
 
 
 def test_one_part_can_be_pushed_fully_in_every_direction(rig):
-    place = np.array([[0.1, 0.05]])
-    force = library_force(rig, place, WAYS)
+    position = np.array([[0.1, 0.05]])
+    force = library_force(rig, position, WAYS)
     assert np.all(force <= 1 + 1e-9)
     np.testing.assert_allclose(
         force, 1, atol=2e-3
     )  # the library's directions are some degrees apart
-    found = manipulability(rig, place)
+    found = manipulability(rig, position)
     assert found.weakest_force == pytest.approx(1, abs=2e-3)
     assert 1 <= found.condition < 2
 
 
 def test_two_parts_far_apart(rig):
     # Turning about the middle pushes them against each other across, shifts together: both fully.
-    place = np.array([[-0.25, 0.0], [0.25, 0.0]])
+    position = np.array([[-0.25, 0.0], [0.25, 0.0]])
     together, across = np.array([1.0, 0, 1, 0]), np.array([0, 1.0, 0, -1])
-    np.testing.assert_allclose(library_force(rig, place, [together, across]), 1, atol=0.01)
-    found = manipulability(rig, place)
+    np.testing.assert_allclose(library_force(rig, position, [together, across]), 1, atol=0.01)
+    found = manipulability(rig, position)
     assert 0.3 < found.weakest_force < 0.6
     # No random direction is weaker than the reported weakest one.
     ways = np.random.default_rng(0).normal(size=(40, 4))
-    assert np.min(library_force(rig, place, ways)) >= found.weakest_force - 1e-9
+    assert np.min(library_force(rig, position, ways)) >= found.weakest_force - 1e-9
 
 
 def test_condition_grows_as_one_over_the_distance(rig):
     gaps = np.array([4e-3, 2e-3, 1e-3, 5e-4])
     conditions, forces = [], []
     for gap in gaps:
-        place = np.array([[0.05 - gap / 2, 0.031], [0.05 + gap / 2, 0.031]])
-        found = manipulability(rig, place)
+        position = np.array([[0.05 - gap / 2, 0.031], [0.05 + gap / 2, 0.031]])
+        found = manipulability(rig, position)
         conditions.append(found.condition)
         forces.append(found.weakest_force)
         opposite = found.worst_direction[:2] + found.worst_direction[2:]
         assert np.linalg.norm(opposite) < 0.02
-        assert found.condition == condition_number(rig, place)
+        assert found.condition == condition_number(rig, position)
     slopes = np.polyfit(np.log(gaps), np.log(np.transpose([conditions, forces])), 1)[0]
     np.testing.assert_allclose(slopes, [-1, 1], atol=0.05)
 
@@ -82,13 +82,13 @@ def test_parts_in_one_place_cannot_be_moved_separately(rig):
 
 @pytest.mark.parametrize("count", [1, 2, 4, 10])
 def test_the_hull_is_that_of_scipy(rig, scene, count):
-    rng, place = scene(count, count)
-    matrix = columns(rig, place)
+    rng, position = scene(count, count)
+    matrix = columns(rig, position)
     for direction in rng.normal(size=(3, 2 * count)):
         unit = direction / np.sqrt(np.sum(direction**2) / count)
         expected = scipy_force(matrix, unit)
-        np.testing.assert_allclose(library_force(rig, place, direction), expected, rtol=1e-6)
-    found = manipulability(rig, place)
+        np.testing.assert_allclose(library_force(rig, position, direction), expected, rtol=1e-6)
+    found = manipulability(rig, position)
     assert np.sum(found.weakest_direction**2) == pytest.approx(count)
     assert scipy_force(matrix, found.weakest_direction) == pytest.approx(
         found.weakest_force, rel=1e-6
@@ -99,10 +99,10 @@ def test_the_hull_is_that_of_scipy(rig, scene, count):
 
 def test_the_weakest_force_can_be_done(rig, scene):
     # Before ramps and closure: Method A reaches most of the hull's force in the weakest direction.
-    _, place = scene(2, 2)
-    found = manipulability(rig, place)
+    _, position = scene(2, 2)
+    found = manipulability(rig, position)
     force = found.weakest_force * found.weakest_direction.reshape(2, 2)
-    solution = RotationSolver(rig).solve(place, 0.7 * force)
+    solution = RotationSolver(rig).solve(position, 0.7 * force)
     assert solution.success
 
 

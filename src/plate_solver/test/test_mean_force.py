@@ -165,11 +165,11 @@ def test_rank_is_at_most_six_n_minus_two(number, rank):
 # The field around a place: curl and divergence.
 
 
-def field_slopes(cycle_twist, place, velocity, step):
+def field_slopes(cycle_twist, position, velocity, step):
     """Return d f_x/dx, d f_x/dy, d f_y/dx, d f_y/dy of the averaged field, by differences."""
 
     def field(offset):
-        return mean_force((place + offset)[None], velocity[None], cycle_twist)[0]
+        return mean_force((position + offset)[None], velocity[None], cycle_twist)[0]
 
     by_x = (field([step, 0]) - field([-step, 0])) / (2 * step)
     by_y = (field([0, step]) - field([0, -step])) / (2 * step)
@@ -207,14 +207,14 @@ def test_curl_and_divergence_of_any_field(wild, seed):
     twist = cycle.twist((np.arange(300) + 0.5) / 300 * cycle.period)
     velocity = rng.normal(size=PLACES.shape) * 0.02
     curl = mean_curl(PLACES, velocity, twist)
-    for i, place in enumerate(PLACES):
+    for i, position in enumerate(PLACES):
         step = 1e-5
-        xx, xy, yx, yy = field_slopes(twist, place, velocity[i], step)
+        xx, xy, yx, yy = field_slopes(twist, position, velocity[i], step)
         # Every instant's field has slopes up to 1/d and third derivatives up to some 10/d^3,
         # d the distance to the instantaneous centre of rotation; rounding adds 1e-16/step.
         slip = np.hypot(
-            twist[:, 0] - twist[:, 2] * place[1] - velocity[i, 0],
-            twist[:, 1] + twist[:, 2] * place[0] - velocity[i, 1],
+            twist[:, 0] - twist[:, 2] * position[1] - velocity[i, 0],
+            twist[:, 1] + twist[:, 2] * position[0] - velocity[i, 1],
         )
         bound = 10 * step**2 * np.mean(np.abs(twist[:, 2] / slip) ** 3) + 1e-9
         assert bound < 1e-2, "too near a centre for a test by differences"

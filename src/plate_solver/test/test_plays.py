@@ -113,25 +113,25 @@ def test_parts_end_where_predicted_after_one_play_and_after_two(rig, scene):
     np.testing.assert_array_equal(cycle.state(0), PLATE)
     twice = family_of(rig, PLAYS)
     own = twice.nearest(steering._last_twist[8, 0.1, ROUGH, True])
-    place, velocity, begin = goal.position, goal.velocity, PLATE
+    position, velocity, begin = goal.position, goal.velocity, PLATE
     for _ in range(PLAYS):
         play = family_of(rig, plate=begin).cycle(own)
-        run = simulate(play, place, velocity, rig.friction.mu, rig.friction.gravity)
-        place, velocity, begin = run.position[-1], run.velocity[-1], play.state(-1)
+        run = simulate(play, position, velocity, rig.friction.mu, rig.friction.gravity)
+        position, velocity, begin = run.position[-1], run.velocity[-1], play.state(-1)
     predicted = goal.end(*twice.samples(own)).reshape(2, -1).T
-    np.testing.assert_allclose(place + goal.coast * velocity, predicted, atol=1e-3)
+    np.testing.assert_allclose(position + goal.coast * velocity, predicted, atol=1e-3)
 
 
 def left_after(rig, goal, cycle, plays):
     """Cost of where the parts are once the motion of a cycle was played `plays` times."""
-    once, place, velocity, state = family_of(rig), goal.position, goal.velocity, PLATE
+    once, position, velocity, state = family_of(rig), goal.position, goal.velocity, PLATE
     times = (np.arange(once.basis.steps) + 0.5) * once.basis.dt
     own = once.nearest(cycle.twist(times))
     for _ in range(plays):
         play = family_of(rig, plate=state).cycle(own)
-        run = simulate(play, place, velocity, rig.friction.mu, rig.friction.gravity)
-        place, velocity, state = run.position[-1], run.velocity[-1], play.state(-1)
-    error, _ = goal.error((place + goal.coast * velocity).T.ravel())
+        run = simulate(play, position, velocity, rig.friction.mu, rig.friction.gravity)
+        position, velocity, state = run.position[-1], run.velocity[-1], play.state(-1)
+    error, _ = goal.error((position + goal.coast * velocity).T.ravel())
     return error @ error
 
 
@@ -172,9 +172,11 @@ def test_two_plays_take_half_the_starts(rig, scene, monkeypatch, free_end, desce
 def test_a_motion_is_refused_if_a_part_is_off_the_plate_between_two_plays(rig, monkeypatch, out):
     """However good the end of the second play is: the next answer replaces that play."""
     edge = rig.plate.half[0] - 0.5 * np.sqrt(rig.part_type("black").area_m2 / np.pi)
-    place, velocity = np.array([[edge - 1e-3, 0.0]]), np.array([[0.03, 0.0]])
+    position, velocity = np.array([[edge - 1e-3, 0.0]]), np.array([[0.03, 0.0]])
     still, rng = np.zeros((3, 3)), np.random.default_rng(0)
-    goal = Goal(place, velocity, 0 * place, 0 * place, rig.friction.accel, coast=LOOKAHEAD_S)
+    goal = Goal(
+        position, velocity, 0 * position, 0 * position, rig.friction.accel, coast=LOOKAHEAD_S
+    )
     once, twice = (family_of(rig, plays, still) for plays in (1, 2))
 
     def ends(own):
@@ -188,7 +190,7 @@ def test_a_motion_is_refused_if_a_part_is_off_the_plate_between_two_plays(rig, m
     monkeypatch.setattr(solver, "descend", lambda problem, *_: descend(problem, own, 0.0, 0))
     aim = np.array([[-0.1, 0.0]])
     request = CycleRequest.make(
-        Parts.make(("black_0",), place), start=np.hstack([place, velocity]), plate=still,
+        Parts.make(("black_0",), position), start=np.hstack([position, velocity]), plate=still,
         targets=Targets(aim, aim, np.ones((1, 2))),
     )  # fmt: skip
     answer = Controller(rig).answer(request, PlateCycle.rest(0.1))

@@ -134,10 +134,10 @@ def test_no_request_is_a_plate_at_rest(method, refine):
 def test_fraction_is_the_largest_there_is(scene):
     # With N harmonics one part gets (N - 1)/(N + 1) at most.
     for number in (2, 3):
-        most = (number - 1) / (number + 1)
+        maximum = (number - 1) / (number + 1)
         solution = SinusoidSolver(RIG, harmonics=number).solve([[0.1, 0.05]], [[0.8, 0.0]])
         assert not solution.success
-        assert 0.9 * most <= 0.8 * solution.fraction <= most + 1e-3
+        assert 0.9 * maximum <= 0.8 * solution.fraction <= maximum + 1e-3
         assert f"{solution.fraction:.3g} of the request" in solution.message
         np.testing.assert_allclose(
             solution.residual, [[0.8 * (1 - solution.fraction), 0]], atol=2e-4
@@ -242,7 +242,7 @@ def test_force_at_the_mean_velocity(scene):
 
 
 @pytest.mark.parametrize(
-    ("asked", "message"),
+    ("wrong_request", "message"),
     [
         ({"refine": "more"}, "refine is 'more', allowed: none, velocity, cycle"),
         ({"tolerance": [0.1, 0.1]}, r"tolerance has shape \(2,\), allowed: \(1, 2\)"),
@@ -252,9 +252,11 @@ def test_force_at_the_mean_velocity(scene):
         ({"velocity": [[0.0, -2e3]]}, "velocity has value -2000, allowed: -1000 to 1000"),
     ],
 )
-def test_wrong_requests_are_named(asked, message):
+def test_wrong_requests_are_named(wrong_request, message):
     with pytest.raises(PlateError, match=message):
-        SinusoidSolver(RIG).solve(**({"position": [[0.1, 0.0]], "force": [[0.1, 0.0]]} | asked))
+        SinusoidSolver(RIG).solve(
+            **({"position": [[0.1, 0.0]], "force": [[0.1, 0.0]]} | wrong_request)
+        )
 
 
 def test_flags_of_a_request():

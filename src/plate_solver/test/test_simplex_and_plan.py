@@ -15,25 +15,25 @@ HALF = np.array([0.3, 0.15])
 LIBRARY = Library.around(HALF)
 
 
-def by_highs(matrix, wanted, cost, miss_cost):
+def by_highs(matrix, requested, cost, miss_cost):
     """The same problem by scipy's HiGHS, with positive variables only."""
-    size = len(wanted)
+    size = len(requested)
     columns = np.hstack([matrix, -matrix, np.eye(size), -np.eye(size)])
     prices = np.concatenate([cost, cost, miss_cost, miss_cost])
-    return linprog(prices, A_eq=columns, b_eq=wanted, bounds=(0, None), method="highs").fun
+    return linprog(prices, A_eq=columns, b_eq=requested, bounds=(0, None), method="highs").fun
 
 
-def check(times, matrix, wanted, cost, miss_cost):
+def check(times, matrix, requested, cost, miss_cost):
     """A feasible basic solution, and a dual one of the same value: both are optimal."""
     assert times.pivots < 2000
-    miss = wanted - matrix @ times.weights
-    assert np.count_nonzero(times.weights) <= len(wanted)
+    miss = requested - matrix @ times.weights
+    assert np.count_nonzero(times.weights) <= len(requested)
     paid = cost @ np.abs(times.weights)
     paid += miss_cost @ np.abs(miss)
     assert times.cost == pytest.approx(paid, rel=1e-6, abs=1e-9)
     assert np.all(np.abs(times.price @ matrix) <= cost * (1 + 1e-6))
     assert np.all(np.abs(times.price) <= miss_cost + 1e-6)
-    assert times.price @ wanted == pytest.approx(times.cost, rel=1e-6, abs=1e-9)
+    assert times.price @ requested == pytest.approx(times.cost, rel=1e-6, abs=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(8))

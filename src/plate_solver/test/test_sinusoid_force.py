@@ -97,10 +97,10 @@ def test_agrees_with_the_map_of_the_finished_cycle(number):
     rng = np.random.default_rng(number)
     basis = sinusoid_basis(number, 0.1, False)
     motion = rng.normal(size=(6, 2 * number, 3)) * [0.2, 0.2, 1.0]
-    place, velocity = rng.uniform(-0.2, 0.2, (6, 2)), rng.normal(size=(6, 2)) * 0.03
-    got = sinusoid_forces(motion, place, velocity, force_rules(number))
+    position, velocity = rng.uniform(-0.2, 0.2, (6, 2)), rng.normal(size=(6, 2)) * 0.03
+    got = sinusoid_forces(motion, position, velocity, force_rules(number))
     for k in range(6):
-        other = average_force(basis.cycle(motion[k]), place[k : k + 1], velocity[k : k + 1])[0]
+        other = average_force(basis.cycle(motion[k]), position[k : k + 1], velocity[k : k + 1])[0]
         np.testing.assert_allclose(got[k], other, atol=2e-5)
 
 

@@ -29,8 +29,8 @@ def test_one_harmonic_never_succeeds(rig):
     np.testing.assert_allclose(solution.residual, [[0.01, 0.0]], atol=1e-6)
 
 
-@pytest.mark.parametrize(("number", "least", "most"), [(2, 0.0, 0.2), (4, 0.4, 1.0)])
-def test_more_constraints_than_rank_are_not_met(rig, scene, number, least, most):
+@pytest.mark.parametrize(("number", "min_met", "max_met"), [(2, 0.0, 0.2), (4, 0.4, 1.0)])
+def test_more_constraints_than_rank_are_not_met(rig, scene, number, min_met, max_met):
     # 6 parts are 12 numbers; N = 2 has rank 10, N = 4 rank 22. Small forces, so reach is no reason.
     solver = SinusoidSolver(rig, harmonics=number, restarts=4)
     met = 0
@@ -38,7 +38,7 @@ def test_more_constraints_than_rank_are_not_met(rig, scene, number, least, most)
         solver.reset()
         rng, position = scene(seed, 6)
         met += solver.solve(position, rng.uniform(-0.03, 0.03, (6, 2))).success
-    assert least <= met / 10 <= most
+    assert min_met <= met / 10 <= max_met
 
 
 def test_at_rest_cycles_start_at_rest(rig, scene):

@@ -35,7 +35,7 @@ def dense_force(cycle, position):
 
 # Least shares of successes: measured 1.00, 1.00, 1.00 and 0.70 on these seeds and more.
 @pytest.mark.parametrize(
-    ("method", "count", "seeds", "least"),
+    ("method", "count", "seeds", "min_success"),
     [
         (SinusoidSolver, 1, 40, 0.95),
         (SinusoidSolver, 2, 40, 0.90),
@@ -43,7 +43,7 @@ def dense_force(cycle, position):
         (RotationSolver, 2, 12, 0.35),
     ],
 )
-def test_random_requests(rig, scene, method, count, seeds, least):
+def test_random_requests(rig, scene, method, count, seeds, min_success):
     solver = method(rig)
     tolerance = solver.options.tolerance
     successes, misses = [], []
@@ -63,7 +63,7 @@ def test_random_requests(rig, scene, method, count, seeds, least):
         if solution.success:
             truth = dense_force(solution.cycle, position)
             assert np.max(np.abs(truth - force)) <= tolerance + FLIP
-    assert np.mean(successes) >= least
+    assert np.mean(successes) >= min_success
     assert np.max(misses) <= FLIP + 1e-6
     assert np.percentile(misses, 90) < 2e-5
 
@@ -106,17 +106,17 @@ def test_moving_parts(rig, scene, method):
 
 
 @BOTH
-@pytest.mark.parametrize("asked", [[[2.0, 0.0]], [[0.0, -2.0]]])
-def test_infeasible_requests_are_reported_and_tried(rig, method, asked):
+@pytest.mark.parametrize("requested", [[[2.0, 0.0]], [[0.0, -2.0]]])
+def test_infeasible_requests_are_reported_and_tried(rig, method, requested):
     position = np.array([[0.1, 0.05]])
-    solution = method(rig, restarts=1, iterations=20).solve(position, asked)
+    solution = method(rig, restarts=1, iterations=20).solve(position, requested)
     assert not solution.success
     assert "mu m g" in solution.message
     assert "allowed" in solution.message
     check_cycle(rig, solution.cycle)
     got = average_force(solution.cycle, position)
-    np.testing.assert_allclose(got + solution.residual, asked, atol=FLIP + 1e-6)
-    assert np.sum(got * asked) / 2 > 0.2  # it pushes that way as well as it can
+    np.testing.assert_allclose(got + solution.residual, requested, atol=FLIP + 1e-6)
+    assert np.sum(got * requested) / 2 > 0.2  # it pushes that way as well as it can
     assert np.max(np.abs(got)) < 1
 
 
@@ -185,7 +185,7 @@ PLACE, PUSH = np.array([[0.1, 0.05]]), np.array([[0.1, 0.0]])
 
 @BOTH
 @pytest.mark.parametrize(
-    ("asked", "message"),
+    ("requested", "message"),
     [
         ({"position": [0.1, 0.05]}, r"position has shape \(2,\), allowed: \(M, 2\)"),
         ({"position": np.zeros((0, 2))}, r"position has shape \(0, 2\)"),
@@ -200,9 +200,9 @@ PLACE, PUSH = np.array([[0.1, 0.05]]), np.array([[0.1, 0.0]])
         ({"curl": [np.inf]}, "curl has infinite values, allowed: finite numbers"),
     ],
 )
-def test_wrong_requests_are_named(rig, method, asked, message):
+def test_wrong_requests_are_named(rig, method, requested, message):
     with pytest.raises(PlateError, match=message):
-        method(rig).solve(**({"position": PLACE, "force": PUSH} | asked))
+        method(rig).solve(**({"position": PLACE, "force": PUSH} | requested))
 
 
 @BOTH

@@ -90,7 +90,7 @@ def test_a_motion_that_ends_with_the_requested_mean_velocity_meets_the_goal_ahea
 # Missed share of the wanted displacement, median over seeds. Measured 0.05, 0.05, 0.07 and
 # 0.04, 0.11, 0.17; the search itself may stop at 0.15.
 @pytest.mark.parametrize(
-    ("method", "count", "seeds", "least", "missed"),
+    ("method", "count", "seeds", "min_success", "missed"),
     [
         (SinusoidSolver, 1, 12, 0.9, 0.12),
         (SinusoidSolver, 2, 12, 0.9, 0.12),
@@ -101,7 +101,7 @@ def test_a_motion_that_ends_with_the_requested_mean_velocity_meets_the_goal_ahea
     ],
 )
 def test_simulated_parts_reach_the_requested_places(
-    rig, scene, method, count, seeds, least, missed
+    rig, scene, method, count, seeds, min_success, missed
 ):
     solver = method(rig)
     period = solver.steering_period(count)
@@ -122,7 +122,7 @@ def test_simulated_parts_reach_the_requested_places(
         assert solution.success == (rms(solution.residual) * unit <= good)
         successes.append(solution.success)
         misses.append(rms(got - goal.displacement) / rms(goal.displacement))
-    assert np.mean(successes) >= least
+    assert np.mean(successes) >= min_success
     assert np.median(misses) < missed
 
 
@@ -169,10 +169,10 @@ def test_errors_are_what_is_beyond_intervals_edges_and_distances():
                 weight=0.5, edge=np.array([0.3, 0.21]), clear=0.03)  # fmt: skip
 
     def errors(way_x, way_y):
-        place = start + [[way_x, way_y], [0.0, 0.0]]
-        error, slope = goal.error(place.T.ravel())
+        position = start + [[way_x, way_y], [0.0, 0.0]]
+        error, slope = goal.error(position.T.ravel())
         for k, step in enumerate(1e-7 * np.eye(4)):
-            there = goal.error(place.T.ravel() + step)[0]
+            there = goal.error(position.T.ravel() + step)[0]
             np.testing.assert_allclose(-(there - error) / 1e-7, slope[:, k], atol=1e-4)
         return error
 

@@ -79,8 +79,8 @@ def test_derivatives_agree_with_differences():
     dt = rng.uniform(2e-4, 6e-4, n)
 
     def end(*motion):
-        place, velocity, turn, spin = end_turning(*start, *motion, FRICTION)
-        return np.concatenate([(place + COAST * velocity).T.ravel(), turn + COAST * spin])
+        position, velocity, turn, spin = end_turning(*start, *motion, FRICTION)
+        return np.concatenate([(position + COAST * velocity).T.ravel(), turn + COAST * spin])
 
     slopes = end_turning_gradient(*start, pose, twist, dt, FRICTION, COAST)
     for which, (given, slope) in enumerate(zip((pose, twist, dt), slopes, strict=True)):
@@ -126,12 +126,12 @@ def test_random_cycles_turn_bars_as_the_simulator_does(length, width):
     turns, places = [], []
     for _ in range(20):
         cycle = family.cycle(family.random(rng))
-        place, angle = rng.uniform(-0.8, 0.8, (1, 2)) * RIG.plate.half, rng.uniform(0, np.pi, 1)
+        position, angle = rng.uniform(-0.8, 0.8, (1, 2)) * RIG.plate.half, rng.uniform(0, np.pi, 1)
         still = np.zeros((1, 2))
         true = simulate_bodies(
-            cycle, footprint, place, angle, still, 0.0, RIG.friction.mu, samples=0
+            cycle, footprint, position, angle, still, 0.0, RIG.friction.mu, samples=0
         )
-        end, _, turn, _ = turned(spread, angle, place, still, np.zeros(1), finely_sampled(cycle))
+        end, _, turn, _ = turned(spread, angle, position, still, np.zeros(1), finely_sampled(cycle))
         turns.append((turn[0], true.angle[-1, 0] - angle[0]))
         places.append(np.hypot(*(end - true.position[-1])[0]))
     predicted, true = np.array(turns).T
@@ -174,12 +174,12 @@ def test_without_torque_parts_are_points():
     )
 
 
-def loop_to_angles(method, ids, place, angle, request, cycles):
+def loop_to_angles(method, ids, position, angle, request, cycles):
     """Ask for angles of parts, of any place; returns the true angles at the end."""
     rig = load_rig("shapes")
     controller, running = Controller(rig, method), PlateCycle.rest(0.1)
-    world = replace(WorldState.at_rest(ids, place), angle=np.array(angle))
-    free = np.full(place.shape, 0.0)
+    world = replace(WorldState.at_rest(ids, position), angle=np.array(angle))
+    free = np.full(position.shape, 0.0)
     for _ in range(cycles):
         parts = Parts.make(ids, world.position, angle=world.angle)
         to = AngleTargets(request - 0.01, request + 0.01, np.full(len(ids), 0.01))
@@ -192,7 +192,7 @@ def loop_to_angles(method, ids, place, angle, request, cycles):
 
 @pytest.mark.parametrize(("method", "cycles"), [("sinusoids", 12), ("rotations", 30)])
 def test_bars_turn_opposite_ways_at_once(method, cycles):
-    place = np.array([[-0.1, 0.02], [0.05, -0.04]])
+    position = np.array([[-0.1, 0.02], [0.05, -0.04]])
     request = np.array([0.5, -0.3])
-    angle = loop_to_angles(method, ("bar_1", "bar_2"), place, [0.0, 0.2], request, cycles)
+    angle = loop_to_angles(method, ("bar_1", "bar_2"), position, [0.0, 0.2], request, cycles)
     np.testing.assert_allclose(angle, request, atol=0.05)

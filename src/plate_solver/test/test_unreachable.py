@@ -18,11 +18,11 @@ def made_forces(rng: np.random.Generator, number: int, position: np.ndarray) -> 
 
 @pytest.mark.parametrize("number", [1, 2, 3, 5])
 def test_the_bound_for_one_part_is_tight(number):
-    most = (number - 1) / (number + 1)
-    way = np.array([[0.6, 0.8]])
-    place = np.array([[0.1, 0.05]])
-    assert is_out_of_reach(place, (most + 1e-3) * way, number, ARM)
-    assert not is_out_of_reach(place, max(most - 1e-3, 0.0) * way, number, ARM)
+    max_force = (number - 1) / (number + 1)
+    direction = np.array([[0.6, 0.8]])
+    position = np.array([[0.1, 0.05]])
+    assert is_out_of_reach(position, (max_force + 1e-3) * direction, number, ARM)
+    assert not is_out_of_reach(position, max(max_force - 1e-3, 0.0) * direction, number, ARM)
 
 
 @pytest.mark.parametrize(("parts", "number"), [(2, 2), (3, 2), (6, 3), (10, 2)])
@@ -38,15 +38,15 @@ def test_every_motion_stays_below_the_proven_bound(number):
     # The support function, halved cell by cell, must be above all forces of many motions.
     rng = np.random.default_rng(number)
     position = rng.uniform(-1, 1, (5, 2)) * [0.3, 0.15]
-    way = rng.normal(size=10)
-    way /= np.linalg.norm(way)
-    found = max(abs(made_forces(rng, number, position).ravel() @ way) for _ in range(3000))
-    most = (number - 1) / (number + 1)
+    direction = rng.normal(size=10)
+    direction /= np.linalg.norm(direction)
+    found = max(abs(made_forces(rng, number, position).ravel() @ direction) for _ in range(3000))
+    max_force = (number - 1) / (number + 1)
     cells = _cells()
-    seen = most * _best(_vectors(_circles(cells), position, ARM) @ way)[0]
+    seen = max_force * _best(_vectors(_circles(cells), position, ARM) @ direction)[0]
     assert found < seen * 1.001
-    assert not _proves(cells, position, ARM, way, 0.98 * seen / most)
-    assert _proves(cells, position, ARM, way, 1.4 * seen / most)
+    assert not _proves(cells, position, ARM, direction, 0.98 * seen / max_force)
+    assert _proves(cells, position, ARM, direction, 1.4 * seen / max_force)
 
 
 def test_many_parts_that_all_want_the_most_are_proven_out_of_reach():

@@ -39,12 +39,12 @@ SOLVERS = pytest.mark.parametrize("solver", [RotationSolver, SinusoidSolver])
 
 def goal(rig: Rig, seed: int) -> Goal:
     rng = np.random.default_rng(seed)
-    place = np.array([[-0.15, -0.05], [0.12, 0.06], [0.02, -0.09]])
+    position = np.array([[-0.15, -0.05], [0.12, 0.06], [0.02, -0.09]])
     size = 0.2 * rig.friction.accel * 0.15**2
     return Goal(
-        position=place + rng.uniform(-0.02, 0.02, place.shape),
+        position=position + rng.uniform(-0.02, 0.02, position.shape),
         velocity=np.zeros((3, 2)),
-        displacement=rng.uniform(-size, size, place.shape),
+        displacement=rng.uniform(-size, size, position.shape),
         tolerance=np.zeros((3, 2)),
         friction_accel=np.full(3, rig.friction.accel),
         rotations=None,
@@ -113,8 +113,8 @@ def test_a_cycle_in_motion_keeps_the_limits_and_so_does_the_way_to_rest_from_its
 @SOLVERS
 def test_motors_just_strong_enough_need_no_look(solver):
     """At `HEADROOM`, by heat and by peak force: 1 m/s2 of the corners takes 1 N at most."""
-    most = HEADROOM * load_rig().limits.accel
-    for force, continuous in ((2 * most, most / PEAK_OVER_RMS), (most, most)):
+    max_force = HEADROOM * load_rig().limits.accel
+    for force, continuous in ((2 * max_force, max_force / PEAK_OVER_RMS), (max_force, max_force)):
         rig = with_motors(1.001 * force, 1.001 * continuous)
         assert not Limits.of(rig).forceful
         assert Limits.of(with_motors(0.999 * force, 0.999 * continuous)).forceful
