@@ -180,8 +180,14 @@ class Drive(canopen.LocalNode):
         file = io.StringIO(eds(node, **of_eds))
         file.name = "drive.eds"
         super().__init__(node, canopen.import_od(file, node))
-        self.state, self.position, self.start, self.goal = "switch on disabled", 0.0, 0.0, 0.0
-        self.into, self.lag_ms, self.jammed, self.mute = 0.0, lag_ms, False, False
+        self.state = "switch on disabled"
+        self.position = 0.0
+        self.start = 0.0
+        self.goal = 0.0
+        self.into = 0.0
+        self.lag_ms = lag_ms
+        self.jammed = False
+        self.mute = False
         self.keeps = False  # keeps its current, whatever the controlword
         self.holds = ""  # a state that only "disable voltage" ends, if it is not fault
         self.word, self.heard, self.enables = 0, math.inf, 0

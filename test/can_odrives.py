@@ -53,13 +53,21 @@ class ODrive:
 
     def __init__(self, bus: Bus, node: int, dbc, **change) -> None:
         self.network, self.node, self.dbc = bus, node, dbc
-        self.off, self.jammed, self.mute, self.silent, self.stuck = True, False, False, False, False
+        self.off = True
+        self.jammed = False
+        self.mute = False
+        self.silent = False
+        self.stuck = False
         self.keeps = False  # keeps its current
         self.wrong_once = 0.0  # error of the next reported position [turns]
         self.watchdog_ms, self.protocol = 100, 2
         vars(self).update(change)
         self.position, self.goal, self.speed, self.torque = 0.0, 0.0, 0.0, 0.0  # turns
-        self.state, self.errors, self.reason, self.fed, self.mode = IDLE, 0, 0, 0.0, (0, 0)
+        self.state = IDLE
+        self.errors = 0
+        self.reason = 0
+        self.fed = 0.0
+        self.mode = (0, 0)
         self.history: list[str] = []
         bus.drives.append(self)
 
@@ -73,7 +81,11 @@ class ODrive:
 
     def boot(self) -> None:
         """Restart as after power-up or a reset. The position is not changed."""
-        self.off, self.state, self.errors, self.reason, self.fed = False, IDLE, 0, 0, 0.0
+        self.off = False
+        self.state = IDLE
+        self.errors = 0
+        self.reason = 0
+        self.fed = 0.0
 
     def disarm(self, error: str = "", clears: bool = False) -> None:
         self.reason = self.errors = ERRORS.get(error, 0)

@@ -75,7 +75,10 @@ class Driven:
     """
 
     def __init__(self, monkeypatch, *parameters, start=True):
-        self.clock, self.log, self.said, self._ticks = Clock(), Log(), defaultdict(list), 0
+        self.clock = Clock()
+        self.log = Log()
+        self.said = defaultdict(list)
+        self._ticks = 0
         for module in (
             "plate_core.ros.diagnostics", "plate_driver.node", "plate_driver.safety.node",
             "plate_driver.transports.thread", "plate_driver.transport_owner",

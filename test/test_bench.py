@@ -167,7 +167,7 @@ def test_a_file_of_other_settings_is_refused_by_their_name(runs, tmp_path, refus
         (run, ["sim", "--out", "/proc/x"], ("out is /proc/x", "allowed: a folder")),
     ],
 )
-def test_wrong_arguments_are_refused_in_one_line(refusal, program, arguments, words):
+def test_wrong_arguments_are_refused_with_a_message_of_one_line(refusal, program, arguments, words):
     code, last = refusal(program, *arguments)
     assert code == 2
     assert "error: " in last

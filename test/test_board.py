@@ -353,7 +353,7 @@ def test_a_tick_is_bounded_where_a_table_takes_over_in_motion(firmware):
 
 
 @emulated
-def test_a_tick_is_bounded_whatever_comes(firmware):
+def test_the_work_of_a_tick_is_limited_for_any_input(firmware):
     with EmulatedBoard(firmware) as board:
         host = Host(board, pace=128)
         host.begin()

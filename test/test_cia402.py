@@ -675,7 +675,7 @@ def test_no_message_undoes_a_stop(bench):
         assert all(drive.state != "enabled" for drive in bench.drives)
 
 
-def test_100_000_frames_of_noise_enable_nobody(bench):
+def test_100_000_frames_of_noise_never_enable_the_motors(bench):
     playing(bench, PLATE, 0.008)
     since = bench.network.now
     kinds = [0, SYNC, 0x180, RPDO, 0x580, 0x600, 0x700]

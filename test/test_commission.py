@@ -434,7 +434,7 @@ def test_a_drive_that_cannot_end_its_quick_stop_lets_go_at_once(bench, rig_file)
     assert bench.drives[0].history[-1] == "switch on disabled"  # by itself
 
 
-def test_nobody_holds_a_motor_for_ever(bench, rig_file, capsys, monkeypatch):
+def test_an_unanswered_question_releases_the_motor(bench, rig_file, capsys, monkeypatch):
     monkeypatch.setattr("plate_drives.commission.ANSWER_S", 0.5)
     ask = bench.ask
 

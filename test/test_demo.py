@@ -96,7 +96,7 @@ def test_programs_find_their_modules_with_a_safe_path():
         (["--domain", "500"], "domain is 500, allowed: 0 to 101"),
     ],
 )
-def test_wrong_arguments_are_one_line_and_start_nothing(
+def test_wrong_arguments_cause_a_message_of_one_line_and_no_start(
     tmp_path, monkeypatch, capsys, words, message
 ):
     out = tmp_path / "out"
@@ -137,7 +137,7 @@ os.register_at_fork(after_in_child=lambda: tell("import", ["fork"]))
 """
 
 
-def test_a_domain_with_a_graph_is_left_alone(tmp_path, monkeypatch, capsys, domain):
+def test_a_domain_with_a_running_graph_is_not_used(tmp_path, monkeypatch, capsys, domain):
     rclpy = pytest.importorskip("rclpy")
     context = rclpy.Context()
     rclpy.init(context=context, domain_id=domain)

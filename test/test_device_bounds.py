@@ -225,7 +225,7 @@ def test_a_small_or_short_following_error_is_reported_and_is_no_fault(device):
     assert max(reported) > 0.003
 
 
-def test_the_way_home_is_watched_too(device):
+def test_the_motion_home_is_monitored_too(device):
     done = run(device, *PLAYING, say(300, Home()), 0.26, "jam 1", 1.0)
     assert done.state is State.OFF
     assert Fault.FOLLOWING in done.faults
@@ -240,7 +240,7 @@ def test_following_is_not_watched_where_the_rig_gives_no_limit(device):
 
 
 @pytest.mark.parametrize("place", [0.01, -0.0099, 1e-9])
-def test_from_wherever_the_plate_is_it_goes_home(device, place):
+def test_the_plate_goes_home_from_any_position(device, place):
     done = run(device, HELLO, f"place {place}", say(101, Enable(BOOT)), *HOMEWARD)
     assert (done.state, done.faults) == (State.READY, Fault.NONE)
     assert_bounded(done)

@@ -236,7 +236,7 @@ def test_only_an_enable_for_the_present_stop_switches_current_on(device):
     assert answers.count(Status.WRONG_STOP) > 100
 
 
-def test_it_is_the_number_alone_that_such_sequences_lack(device):
+def test_with_the_present_stop_number_the_same_sequences_enable_the_motors(device):
     """With the present stop named, the same sequences end with current on."""
     rng = np.random.default_rng(17)
     for _ in range(20):

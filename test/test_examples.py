@@ -33,7 +33,7 @@ def test_a_script_runs_and_draws(tmp_path, name):
 
 
 @pytest.mark.parametrize("image_rate", [0.0, 30.0])
-def test_a_planner_of_ones_own_moves_the_parts(tmp_path, domain, image_rate):
+def test_a_user_planner_moves_the_parts(tmp_path, domain, image_rate):
     pytest.importorskip("rclpy")
     from graph.observer import Observer
     from graph.processes import Processes, ros_environment
@@ -77,7 +77,7 @@ def test_a_planner_of_ones_own_moves_the_parts(tmp_path, domain, image_rate):
         assert own.wait(20) == 0
 
 
-def test_the_control_law_of_ones_own_needs_no_ros(monkeypatch, tmp_path):
+def test_a_user_control_law_needs_no_ros(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "rclpy", None)
     assert load_planner(str(EXAMPLES / "own_planner.py"), load_rig())
     broken = tmp_path / "broken.py"

@@ -334,7 +334,7 @@ WRONG_INPUT = [
 
 
 @pytest.mark.parametrize(("name", "changes", "message"), WRONG_INPUT)
-def test_wrong_input_is_one_line_and_exit_code_2(
+def test_wrong_input_causes_a_message_of_one_line_and_exit_code_2(
     tmp_path, domain, monkeypatch, name, changes, message
 ):
     (tmp_path / "broken.yaml").write_text(BROKEN)
@@ -396,7 +396,7 @@ def test_images_can_be_thinned_without_losing_beginning_or_end():
     assert len(set(np.diff(kept.items))) == 1
 
 
-def test_nobody_gets_a_domain_that_is_taken(monkeypatch):
+def test_an_occupied_domain_is_not_assigned(monkeypatch):
     monkeypatch.setattr(domains, "DOMAINS", range(102, 106))  # no other subscriber gets these
     with contextlib.ExitStack() as stack, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         first = [stack.enter_context(domains.own_domain()) for _ in range(2)]

@@ -113,7 +113,7 @@ def test_a_full_disk_leaves_the_old_file_whole(learned, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("kept", [0.0, 0.001, 0.01, 0.5, 0.99])
-def test_a_damaged_file_is_refused_in_one_line(learned, tmp_path, kept):
+def test_a_damaged_file_is_refused_with_a_message_of_one_line(learned, tmp_path, kept):
     path = tmp_path / "response.npz"
     save_response(path, learned[0])
     data = path.read_bytes()

@@ -456,7 +456,7 @@ def test_no_message_undoes_a_stop(bench):
         assert all(drive.state == 1 for drive in bench.drives)
 
 
-def test_30_000_frames_of_noise_enable_nobody(bench):
+def test_30_000_frames_of_noise_never_enable_the_motors(bench):
     playing(bench, PLATE, 0.008)
     since, enables = bench.network.now, [drive.enables for drive in bench.drives]
     bench.disturb(30_000, np.add.outer(np.array(NODES) << 5, range(32)).ravel())

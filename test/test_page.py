@@ -243,7 +243,7 @@ def test_requests_of_other_origins_are_refused(url):
         assert status(port, path) in (400, 403, 404), path
 
 
-def test_a_browser_that_hangs_and_garbage_disturb_nobody(url):
+def test_a_stalled_browser_and_random_bytes_do_not_disturb_other_browsers(url):
     port = int(url.rstrip("/").rsplit(":", 1)[1])
     rng = random.Random(1)
     hung = socket.create_connection(("127.0.0.1", port))

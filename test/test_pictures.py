@@ -98,7 +98,7 @@ def test_a_bin_is_drawn_where_it_is():
     assert near(at(canvas, (0.1, 0.08)), class_colour("black"))
 
 
-def test_angles_are_drawn_as_they_are_and_as_wanted():
+def test_measured_and_requested_angles_are_drawn():
     run = scene("spin_1", ("black_1",), np.zeros((4, 1, 2)), angle=np.radians(180))
     canvas = FILM.canvas(run)
     draw_parts(run, canvas, 0.2, faces=True)

@@ -177,7 +177,7 @@ def test_recipes_that_cannot_be_filled_are_refused():
     assert filled(load_scenario("feed"), 5).task.hopper.least == 4  # 12 of 15
 
 
-def test_a_production_begins_with_what_nobody_wants_in_the_recipe():
+def test_a_production_begins_with_unwanted_parts_of_the_recipe():
     recipe = load_scenario("feed")
     placed = PartGroup("black", 2, ((0.0, 0.0), (0.1, 0.0)))
     found = filled(replace(recipe, parts=(placed, PartGroup("grey", 8))), 10)

@@ -173,7 +173,7 @@ def front_of(better, *places):
     return pareto_front(places, better)
 
 
-def test_the_front_is_a_staircase_along_what_nobody_beats():
+def test_the_pareto_front_is_a_staircase():
     places = [(1, 5), (2, 2), (3, 3), (4, 1), (4, 2)]
     assert front_of("less less", *places) == [(1, 5), (2, 5), (2, 2), (4, 2), (4, 1)]
     assert front_of("more less", *places) == [(4, 1)]

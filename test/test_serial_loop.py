@@ -57,7 +57,7 @@ def verdict(*setpoints):
 @pytest.mark.parametrize(
     ("name", "row", "value"), [("stroke", 0, 0.01), ("speed", 1, 1.0), ("accel", 2, 100.0)]
 )
-def test_the_judge_sees_what_is_outside(name, row, value):
+def test_the_judge_detects_values_beyond_the_limits(name, row, value):
     at = np.zeros((3, 4))
     at[row, 2] = value * 1.01
     reported = verdict(at)

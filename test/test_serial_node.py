@@ -74,7 +74,10 @@ class Board:
             [program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
         )
         self.begin, self.ticks, self.lost = time.monotonic(), 0, 0
-        self.state, self.current, self.travel, self.setpoints = State.OFF, False, 0.0, 0
+        self.state = State.OFF
+        self.current = False
+        self.travel = 0.0
+        self.setpoints = 0
         self.heard: list[object] = []
         self._reader, self.dead = Reader(), False
         self.came = b""
@@ -374,7 +377,7 @@ WAYS = [again, lifecycle, anew, ended(signal.SIGINT), ended(signal.SIGTERM),
         ended(signal.SIGKILL), homed]  # fmt: skip
 
 
-def test_no_way_undoes_a_stop(bench):
+def test_no_input_undoes_a_stop(bench):
     board = bench.board
     bench.start()
     bench.tells(OFF)

@@ -214,7 +214,7 @@ WAYS = [again, reset, cable, supply, tables, homing]
 
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("cut", [False, True])
-def test_a_stop_latches_whatever_comes(firmware, way, cut):
+def test_a_stop_latches_with_any_input(firmware, way, cut):
     transport = enabled(firmware)
     play(firmware, transport, 1.0)
     assert firmware.states[-1] is State.PLAYING

@@ -63,7 +63,10 @@ class Bench:
             drive.position = float(place)
             drive.boot()
         self.passed, self.ticks = os.pipe()
-        self.ports, self.ends, self.sent, self.measured = [], [], [], []
+        self.ports = []
+        self.ends = []
+        self.sent = []
+        self.measured = []
         self.transport = HostTransport(self.port, RIG.limits, self.now, 7)
 
     def now(self):

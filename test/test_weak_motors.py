@@ -31,7 +31,10 @@ def forces(rig: Rig, cycle) -> np.ndarray:
 def test_parts_are_sorted_within_force_and_heat(method, effort):
     rig, peak, continuous = load_rig(), 10.0, 5.0
     limits = replace(rig.limits, force=peak, continuous_force=continuous, thermal_time_s=1.0)
-    rig, warm, max_force, moments = replace(rig, limits=limits), np.zeros(4), 0.0, []
+    rig = replace(rig, limits=limits)
+    warm = np.zeros(4)
+    max_force = 0.0
+    moments = []
     for moment in run(Setup(with_few("sort_4"), 3, method, effort=effort), rig):
         moments.append(moment)
         force = forces(rig, moment.answer.cycle)

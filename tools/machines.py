@@ -43,7 +43,10 @@ REACHES = ("named", "subnet", "nobody")
 DOMAIN = 0
 """ROS domain. All domains are free, because the machines have a separate network."""
 
-START_S, TASK_S, ALONE_S, CARD_S = 180.0, 180.0, 3.0, 10.0
+START_S = 180.0
+TASK_S = 180.0
+ALONE_S = 3.0
+CARD_S = 10.0
 DISCOVERY_S = 3.0
 """Time for discovery [s]. New participants announce themselves 20 times, every 0.1 s
 (config/fastdds.xml)."""

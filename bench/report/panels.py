@@ -202,7 +202,10 @@ class Panel:
     """One panel: a pair of axes with all drawn elements."""
 
     def __init__(self, title: str, x: Axis, y: Axis, better: str) -> None:
-        self.title, self.x, self.y, self.better = title, x, y, better
+        self.title = title
+        self.x = x
+        self.y = y
+        self.better = better
         self.traces: list[Any] = []
         self.field: tuple[str, tuple[float, float]] | None = None
         self._counted: list[tuple[float, float]] = []

@@ -362,7 +362,10 @@ def compress_image(image: np.ndarray, quality: int) -> np.ndarray:
 def detect_in_scene(scene: Scene) -> Iterator[tuple[Tracker, bool]]:
     """Yield the detector's result for each image of a scene, and whether the detector reports a
     problem. Problems are rejected objects, a moved outline of the plate, and a refused image."""
-    vision, tracker, plate, stamp = make_vision(scene.rig), Tracker(), BarePlate(), 1.0
+    vision = make_vision(scene.rig)
+    tracker = Tracker()
+    plate = BarePlate()
+    stamp = 1.0
     outline = OutlineCheck.of(scene.rig, vision.calibration)
     if scene.types:
         plate = replace(plate, requested=len(scene.bare))

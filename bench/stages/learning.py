@@ -26,7 +26,10 @@ from plate_driver.calibration import (
 )
 from plate_sim import PlateState, motor_record, realise
 
-HZ, DAMPING, MISMATCH, BANDWIDTH_HZ = 35.0, 0.03, 0.15, 200.0
+HZ = 35.0
+DAMPING = 0.03
+MISMATCH = 0.15
+BANDWIDTH_HZ = 200.0
 SAMPLE_S = 0.01
 NOISE = 0.2
 """Standard deviation of the noise of an accelerometer [m/s2]."""

@@ -28,8 +28,17 @@ from stages.scenes import (
 )
 from stages.tray import tray_rows
 
-EVENTS, STEPS, PYMUNK, MUJOCO = "by events", "in steps", "pymunk", "MuJoCo"
-"""Methods: the reference, the simulator's model of parts, and the baselines."""
+EVENTS = "by events"
+"""Method: the reference."""
+
+STEPS = "in steps"
+"""Method: the simulator's model of parts."""
+
+PYMUNK = "pymunk"
+"""Method: a baseline."""
+
+MUJOCO = "MuJoCo"
+"""Method: a second baseline."""
 
 PYMUNK_STEP_MS = 0.1
 """Time step of pymunk. With this step pymunk's error in the exact scene is 0.12 %. Speeds are

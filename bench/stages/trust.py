@@ -68,9 +68,17 @@ difference."""
 NEGLECTED = ("effect", "formula", "assumed", "size")
 """Columns of the table of neglected effects."""
 
-DENSITY, STIFFNESS, PLATE_DENSITY, POISSON = 7850.0, 70e9, 2700.0, 0.33
-"""Density of a steel part [kg/m3], and Young's modulus [Pa], density [kg/m3] and Poisson's ratio of
-an aluminium plate."""
+DENSITY = 7850.0
+"""Density of a steel part [kg/m3]."""
+
+STIFFNESS = 70e9
+"""Young's modulus of an aluminium plate [Pa]."""
+
+PLATE_DENSITY = 2700.0
+"""Density of an aluminium plate [kg/m3]."""
+
+POISSON = 0.33
+"""Poisson's ratio of an aluminium plate."""
 
 OFF_PLANE_M, OUT_OF_PLANE = 1e-3, 0.01
 """Assumptions: distance of the motors' forces from the plate's middle plane [m], and vertical

@@ -18,9 +18,18 @@ from plate_bringup.production import FeederCell, Production, filled, produce
 from plate_core.tasks import load_scenario
 from plate_sim import Disturbances
 
-RECIPE, FILL, CYCLE_S, SEED = "feed", 15, 2.0, 61_000
-"""Recipe, number of parts on the plate, robot's cycle [s] and seed. One part in ten is grey, which
-represents a part with the wrong face up. Such a part must leave through the chute."""
+RECIPE = "feed"
+"""Recipe. One part in ten is grey, which represents a part with the wrong face up. Such a part must
+leave through the chute."""
+
+FILL = 15
+"""Number of parts on the plate."""
+
+CYCLE_S = 2.0
+"""Robot's cycle [s]."""
+
+SEED = 61_000
+"""Random seed."""
 
 WORLD = Disturbances(
     pick_failure=0.05,

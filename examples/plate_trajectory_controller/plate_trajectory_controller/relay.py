@@ -77,7 +77,10 @@ class Relay:
         publish: Callable[[MotorTable], None],
         clock: Callable[[], float],
     ) -> None:
-        self._rig, self._command, self._publish, self._clock = rig, command, publish, clock
+        self._rig = rig
+        self._command = command
+        self._publish = publish
+        self._clock = clock
         self._enabled = False
         self._next: tuple[MotorTable, int] | None = None
         self._playing: MotorTable | None = None

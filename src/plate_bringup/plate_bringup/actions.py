@@ -195,13 +195,7 @@ def start(hardware: bool, file: str, context: Any) -> list[Any]:
         if text and name in known
     }
     values = {name: _convert(name, given[name]) for name in OPTIONS if name in given}
-    own_files = []
-    if "params_file" in given:
-        own_files.append(given["params_file"])
-        try:
-            check_file(Path(own_files[0]), YAML_BYTES)
-        except PlateError as error:
-            raise GraphError(f"params_file {error}") from None
+    own_files = _own_files(given)
     pushed = context.launch_configurations.get("ros_namespace", "")
     space = namespace_of(pushed, given.get("namespace", ""))
     names = [node.name for node in load_graph()]
@@ -227,7 +221,6 @@ def start(hardware: bool, file: str, context: Any) -> list[Any]:
     if follows and not (hardware or options.is_simulated_time):
         clock = [{"use_sim_time": False}]
         warnings.append("use_sim_time is ignored, because the simulation runs in real time")
-    topics = {"image_raw": given.get("image_topic"), "camera_info": given.get("info_topic")}
     waiting = [{"autostart": False}] if given.get("autostart") == "false" else []
     defaults = default_files(hardware, space, [node.name for node in options.nodes(load_graph())])
     actions: list[Any] = [OpaqueFunction(function=partial(_set_parameter_files, defaults))]
@@ -235,7 +228,44 @@ def start(hardware: bool, file: str, context: Any) -> list[Any]:
     for rig in (rigs or [""]) if hardware else ():
         facts = unmeasured(load_rig(rig))
         actions += [LogInfo(msg=f"this rig is not fully measured. {text}") for text in facts]
+    actions += _start_programs(options, given, space, own_files, [*waiting, *clock])
+    if given.get("record") == "true":
+        actions += _start_recorder(space)
+    return [GroupAction(actions)]
+
+
+def _own_files(given: Mapping[str, str]) -> list[str]:
+    """Return the parameter file of the argument `params_file`, or an empty list.
+
+    Raises
+    ------
+    GraphError
+        If the file does not exist or cannot be read.
+    """
+    if "params_file" not in given:
+        return []
+    try:
+        check_file(Path(given["params_file"]), YAML_BYTES)
+    except PlateError as error:
+        raise GraphError(f"params_file {error}") from None
+    return [given["params_file"]]
+
+
+def _start_programs(
+    options: RunOptions,
+    given: Mapping[str, str],
+    space: str,
+    own_files: Sequence[str],
+    last_parameters: Sequence[Mapping[str, bool]],
+) -> list[Any]:
+    """Return the actions that start the programs of all nodes.
+
+    The parameters of a node are those of the files `own_files`, then those of its program, then
+    `last_parameters`. Later values replace earlier ones.
+    """
+    topics = {"image_raw": given.get("image_topic"), "camera_info": given.get("info_topic")}
     views = {node.name for node in load_graph() if node.view}
+    actions: list[Any] = []
     for name, program in programs(options, given, space).items():
         last_line = [""]
         process = Node(
@@ -243,18 +273,21 @@ def start(hardware: bool, file: str, context: Any) -> list[Any]:
             remappings=[(topic, other) for topic, other in topics.items() if other],
             output="screen",
             on_exit=None if name in views else partial(_shut_down, name, last_line),
-            **program | {"parameters": [*own_files, program["parameters"], *waiting, *clock]},
+            **program | {"parameters": [*own_files, program["parameters"], *last_parameters]},
         )
         actions += [_listen_to(process, last_line), process]
-    if given.get("record") == "true":
-        last_line = [""]
-        recorder = ExecuteProcess(
-            cmd=["ros2", "bag", "record", "--storage", "mcap", "--all", *bag_name(space)],
-            output="screen",
-            on_exit=partial(_report_end_of_recorder, last_line),
-        )
-        actions += [_listen_to(recorder, last_line), recorder]
-    return [GroupAction(actions)]
+    return actions
+
+
+def _start_recorder(space: str) -> list[Any]:
+    """Return the actions that start the recorder of all topics."""
+    last_line = [""]
+    recorder = ExecuteProcess(
+        cmd=["ros2", "bag", "record", "--storage", "mcap", "--all", *bag_name(space)],
+        output="screen",
+        on_exit=partial(_report_end_of_recorder, last_line),
+    )
+    return [_listen_to(recorder, last_line), recorder]
 
 
 def _convert(name: str, text: str) -> Any:

@@ -72,7 +72,7 @@ def test_on_hardware_nothing_stands_in_for_it():
     assert "port" not in options.parameters(GRAPH["driver"])
 
 
-def test_a_camera_of_one_s_own_replaces_the_simulator_but_not_the_board():
+def test_a_real_camera_replaces_the_simulator_but_not_the_board():
     listed = load_graph()
     camera = {"camera": "/dev/video0", "transport": "serial"}
     names = [node.name for node in RunOptions(**camera).nodes(listed)]

@@ -106,7 +106,7 @@ def test_many_names_and_deep_folders_are_refused(folder, monkeypatch):
         files_of("sub")
 
 
-def test_a_module_that_is_no_python_is_one_file(folder):
+def test_an_invalid_python_module_counts_as_one_file(folder):
     assert list(files_of("bad")) == ["bad.py"]
     assert libraries_of("bad") == {}
 

@@ -231,7 +231,7 @@ with PlateClient.connect() as plate:
     assert "in on_message" in errors
 
 
-def test_a_forked_process_is_told_that_it_has_no_client():
+def test_a_client_in_a_forked_process_is_closed():
     text = """
 with PlateClient.connect() as plate:
     if (child := os.fork()) == 0:

@@ -337,7 +337,7 @@ def test_a_reader_that_has_enough_is_no_error(program):
     assert (returned, errors) == (128 + signal.SIGPIPE, "")
 
 
-def test_an_interrupt_during_imports_is_reported_in_one_line():
+def test_an_interrupt_during_imports_causes_a_message_of_one_line():
     program = """
 import os, signal, sys
 from plate_client.command import main

@@ -164,19 +164,19 @@ class OwnFile:
         # shell has opened must not be replaced.
         of_system = os.path.abspath(path).startswith(("/dev/", "/proc/"))
         self._path = Path(path)
-        self._place = self._path if of_system else Path(os.path.realpath(path))
-        self._beside = self._place.with_name(f"{self._place.name}.draft")
+        self._target = self._path if of_system else Path(os.path.realpath(path))
+        self._draft = self._target.with_name(f"{self._target.name}.draft")
         self._is_new = False
-        self._held = self._open()
-        is_file = self._is_new or stat.S_ISREG(os.fstat(self._held).st_mode)
-        self._replaced = is_file and not of_system
-        if self._replaced:  # test whether files can be made in the folder
+        self._descriptor = self._open()
+        is_file = self._is_new or stat.S_ISREG(os.fstat(self._descriptor).st_mode)
+        self._is_replaceable = is_file and not of_system
+        if self._is_replaceable:  # test whether files can be made in the folder
             try:
-                os.close(_create(self._beside))
+                os.close(_create(self._draft))
             except OSError:
                 self.close()
                 raise
-            self._beside.unlink()
+            self._draft.unlink()
 
     def __enter__(self) -> OwnFile:
         return self
@@ -189,30 +189,30 @@ class OwnFile:
     def write(self, text: str) -> None:
         """Replace the content and keep the permissions. If an error occurs, the file stays
         unchanged."""
-        if not self._replaced:
+        if not self._is_replaceable:
             self._path.write_text(text, encoding="utf-8")
             return
-        number = _create(self._beside)
+        descriptor = _create(self._draft)
         try:
-            _try_lock(number)
+            _try_lock(descriptor)
             if not self._is_new:
-                os.fchmod(number, stat.S_IMODE(os.fstat(self._held).st_mode))
-            elif os.path.lexists(self._place):  # made without a lock, or on another computer
+                os.fchmod(descriptor, stat.S_IMODE(os.fstat(self._descriptor).st_mode))
+            elif os.path.lexists(self._target):  # made without a lock, or on another computer
                 raise PlateError(self._in_use())
-            with open(number, "w", encoding="utf-8", closefd=False) as file:
+            with open(descriptor, "w", encoding="utf-8", closefd=False) as file:
                 file.write(text)
-            self._beside.replace(self._place)
+            self._draft.replace(self._target)
         except BaseException:  # BaseException includes KeyboardInterrupt
-            os.close(number)
+            os.close(descriptor)
             with contextlib.suppress(OSError):
-                self._beside.unlink()
+                self._draft.unlink()
             raise
-        os.close(self._held)
-        self._held, self._is_new = number, False
+        os.close(self._descriptor)
+        self._descriptor, self._is_new = descriptor, False
 
     def close(self) -> None:
         """Close the file, so that other processes can open it for writing."""
-        os.close(self._held)
+        os.close(self._descriptor)
 
     def _in_use(self) -> str:
         return (
@@ -223,22 +223,23 @@ class OwnFile:
     def _open(self) -> int:
         """Open and lock the file. If the file does not exist, lock its path, and set `_is_new`."""
         while True:
-            if not os.path.lexists(self._place):
-                number = self._lock_path()
-                self._is_new = not os.path.lexists(self._place)
+            if not os.path.lexists(self._target):
+                descriptor = self._lock_path()
+                self._is_new = not os.path.lexists(self._target)
                 if self._is_new:
-                    return number
-                os.close(number)  # another process has made the file in the meantime
-            number = os.open(self._path, os.O_WRONLY | os.O_NONBLOCK)
+                    return descriptor
+                os.close(descriptor)  # another process has made the file in the meantime
+            descriptor = os.open(self._path, os.O_WRONLY | os.O_NONBLOCK)
             try:
-                found = os.fstat(number)
-                free = not stat.S_ISREG(found.st_mode) or _try_lock(number)
-                if free and os.path.samestat(found, os.stat(self._path)):
-                    return number
+                status = os.fstat(descriptor)
+                is_locked = not stat.S_ISREG(status.st_mode) or _try_lock(descriptor)
+                if is_locked and os.path.samestat(status, os.stat(self._path)):
+                    return descriptor
+                is_in_use = not is_locked
             except FileNotFoundError:
-                free = True
-            os.close(number)
-            if not free:
+                is_in_use = False
+            os.close(descriptor)
+            if is_in_use:
                 raise PlateError(self._in_use())
             # another process has replaced the file in the meantime, so open the new one
 
@@ -246,7 +247,7 @@ class OwnFile:
         """Lock the path of a new file by an abstract socket (unix(7)) with a name that is derived
         from the path. If this process is killed, the kernel removes the socket. A file would
         remain."""
-        name = hashlib.sha256(os.fsencode(self._place)).hexdigest()
+        name = hashlib.sha256(os.fsencode(self._target)).hexdigest()
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as lock:
             try:
                 lock.bind(f"\0plate_core.files {name}")

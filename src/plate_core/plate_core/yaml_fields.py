@@ -61,7 +61,10 @@ UNITS = {
 
 SHOWN = reprlib.Repr()
 """Formatter that converts a value to text for a message, shortened to about one line."""
-SHOWN.maxlevel, SHOWN.maxlist, SHOWN.maxstring, SHOWN.maxother = 3, 8, 80, 80
+SHOWN.maxlevel = 3
+SHOWN.maxlist = 8
+SHOWN.maxstring = 80
+SHOWN.maxother = 80
 
 
 class Kind(Protocol):

@@ -257,7 +257,7 @@ def test_command_reports_and_draws(check_rig, tmp_path):
         assert words in text
 
 
-def test_command_whose_output_nobody_reads(tmp_path):
+def test_a_command_with_unread_output_ends(tmp_path):
     """`check_rig | head -1`: no traceback, no error, whenever the reader leaves."""
     for first in (1, 5000):
         command = f"{sys.executable} -m plate_core.rig.check_rig --drawing a.svg | head -c {first}"

@@ -52,7 +52,7 @@ def appears(file, seconds=60.0):
     return file.exists()
 
 
-def test_a_console_that_nobody_reads_does_not_hold_up_a_node(tmp_path):
+def test_an_unread_console_does_not_block_a_node(tmp_path):
     with talker(LINES, tmp_path / "said") as node:
         assert appears(tmp_path / "said")
         node.send_signal(signal.SIGINT)

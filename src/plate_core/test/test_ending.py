@@ -97,7 +97,7 @@ main()
         ("sys.exit(3)", 3),
     ],
 )
-def test_a_program_whose_output_nobody_reads_ends_quietly(rest, code):
+def test_a_program_with_unread_output_ends_without_an_error(rest, code):
     read, write = os.pipe()
     with subprocess.Popen(
         [sys.executable, "-c", PRINTS.format(rest=rest)],

@@ -75,7 +75,7 @@ def test_bends_as_opencv(lens, pixels):
 
 
 @pytest.mark.parametrize("lens", LENSES)
-def test_straightens_what_it_bends(lens, pixels):
+def test_straighten_inverts_bend(lens, pixels):
     pixels = pixels[np.all(np.isfinite(lens.straighten(pixels)), axis=1)]
     assert len(pixels) >= 290  # the other points are outside of the lens's image
     assert np.allclose(lens.bend(lens.straighten(pixels)), pixels, atol=1e-9)

@@ -80,7 +80,7 @@ def test_peak_between_knots_is_not_missed():
 
 
 @pytest.mark.parametrize("limit", ["stroke_m", "speed", "accel"])
-def test_worst_is_the_greatest_share(limit):
+def test_worst_is_the_largest_fraction(limit):
     cycle = random_cycle(9)
     found = usage(RIG, cycle)
     tight = {"stroke_m": 1.0, "speed": 100.0, "accel": 1e4, limit: getattr(found, limit) / 3}

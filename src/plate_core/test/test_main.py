@@ -117,7 +117,7 @@ def test_signals_end_it_whatever_is_inherited(hears, number):
     assert output.endswith("last words, ROS works: True\n")
 
 
-def test_a_terminal_that_is_closed_is_nothing_to_one_that_ignores_it(hears):
+def test_a_closed_terminal_does_not_end_a_program_that_ignores_it(hears):
     with start(preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN)) as process:
         assert hears(process, "ready")
         process.send_signal(signal.SIGHUP)
@@ -171,7 +171,7 @@ def test_a_node_without_end_with_parent_survives_its_parent(orphan):
     assert output.read().endswith("at rest\n")
 
 
-def test_wrong_input_is_one_line_and_code_2():
+def test_wrong_input_causes_a_message_of_one_line_and_exit_code_2():
     with start("refuse") as process:
         _, errors = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 2

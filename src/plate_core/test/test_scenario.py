@@ -360,7 +360,7 @@ def test_a_hundred_parts_in_all_are_allowed(rig):
         check_scenario(replace(whole, parts=(black, replace(grey, count=99))), rig)
 
 
-def test_a_missing_or_broken_file_is_one_line(tmp_path):
+def test_a_missing_or_damaged_file_causes_a_message_of_one_line(tmp_path):
     with pytest.raises(ScenarioError, match="no such file"):
         load_scenario(tmp_path / "nowhere.yaml")
     with pytest.raises(ScenarioError, match="broken YAML at line"):

@@ -85,7 +85,7 @@ def test_a_player_starts_at_rest_and_stays_there():
     assert Timeline.at_rest().cycle.period == IDLE_S
 
 
-def test_each_cycle_begins_as_the_one_before_ends():
+def test_each_cycle_begins_in_the_end_state_of_the_previous_cycle():
     timeline = player(SWING, SHORT)
     assert (timeline.begin, timeline.end) == (3.0, 3.1)
     timeline = timeline.next()
@@ -167,7 +167,7 @@ def test_the_newest_that_follows_waits_and_only_rest_goes_before_it():
     assert stop.next().next().cycle is rest
 
 
-def test_a_cycle_that_is_sent_changes_nothing_of_the_one_that_runs():
+def test_a_sent_cycle_does_not_change_the_running_cycle():
     before = Timeline(SWING, 3.0, repeats=1)
     after = before.send(BIGGER)
     assert after == Timeline(SWING, 3.0, repeats=1, waiting=BIGGER)

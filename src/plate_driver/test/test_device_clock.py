@@ -11,7 +11,10 @@ from plate_driver.cycle_starts import CycleStarts
 from plate_driver.transports import Measured
 from plate_driver.transports.device_clock import DRIFT, PULSE_AGE_S, DeviceClock
 
-BEAT_S, POLL_S, TICK_S, TELEMETRY_S = 0.025, 0.005, 0.001, 0.01
+BEAT_S = 0.025
+POLL_S = 0.005
+TICK_S = 0.001
+TELEMETRY_S = 0.01
 CASES = 30
 TABLE = SimpleNamespace(cycle=SimpleNamespace(period=0.2), length=0.2)
 

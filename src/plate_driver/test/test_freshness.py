@@ -116,7 +116,7 @@ def test_a_cycle_is_as_old_as_its_image_may_be_if_the_clock_was_set_back():
     assert far.remaining_s(at(60), at(60.1), PERIOD) > 0
 
 
-def test_a_clock_with_too_many_steps_moves_nothing():
+def test_with_too_many_clock_steps_cycles_are_refused():
     fresh = ready()
     for k in range(MAX_STEPS + 2):  # a step forth of 0.1 s at each reading but the first
         fresh = fresh.with_clocks(k, at(10 + 1.1 * k))
@@ -197,7 +197,11 @@ def run(seed: int) -> list[tuple[float, float, int]]:
         put(float(end), "end")
     for k in range(500):
         put(0.04 * k, "look")
-    fresh, last_ns, asked_ns, reported, wrong = Freshness(), None, 0, [], []
+    fresh = Freshness()
+    last_ns = None
+    asked_ns = 0
+    reported = []
+    wrong = []
     requested = -1.0  # true time of the image of the planner's last request
     while queue:
         t, _, what, content = heapq.heappop(queue)

@@ -110,7 +110,7 @@ def test_a_task_or_motors_that_are_not_ready_come_first(driven):
     assert not driven.setpoints
 
 
-def test_nobody_waits_for_images_that_do_not_come(driven):
+def test_a_friction_measurement_without_images_fails(driven):
     assert start(driven).success
     driven.pass_time(6.0)
     assert said(driven).state == Friction.FAILED

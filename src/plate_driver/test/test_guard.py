@@ -159,7 +159,7 @@ Anything.TestCase.settings = settings(
 TestAnything = Anything.TestCase
 
 
-def test_the_checker_sees_what_breaks_a_limit():
+def test_the_checker_detects_an_exceeded_limit():
     """A guard that lets everything through would be found out."""
     guard, _ = Guard(RIG).accepted(wild_cycle(1, 12, 1e-3, 0.2, 1), 1, 0.0)
     table = guard.table
@@ -222,7 +222,10 @@ def test_hot_motors_get_less():
     small = Guard(replace(RIG, limits=limits))
     t = np.arange(64) / 64
     pose = np.outer(np.sin(4 * np.pi * t) * np.sin(np.pi * t) ** 4, [0.005, 0, 0])
-    cycle, factors, now, guard = PlateCycle.from_samples(0.2, pose), [], 0.0, small
+    cycle = PlateCycle.from_samples(0.2, pose)
+    factors = []
+    now = 0.0
+    guard = small
     for k in range(150):
         guard, fit = guard.accepted(cycle, k, now)
         factors.append(fit.factor)

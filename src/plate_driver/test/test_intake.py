@@ -34,7 +34,10 @@ class Desk:
     """Intake of a driver whose clock, state and inputs a test sets."""
 
     def __init__(self, response=None):
-        self.now, self.status, self.second, self.polls = 100.0, READY, "", 0
+        self.now = 100.0
+        self.status = READY
+        self.second = ""
+        self.polls = 0
         self.tables, self.latch = [], Latch()
         self.on_poll = lambda: None
         clocks = Clocks(lambda: self.now, self.stamp_ns, lambda: False)

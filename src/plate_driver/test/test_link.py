@@ -158,7 +158,7 @@ def test_messages_are_sent_at_the_speed_of_the_line():
     assert now - 0.01 == pytest.approx(10 * sent / baud, rel=0.15)
 
 
-def test_on_a_slow_line_what_waits_its_turn_is_not_repeated():
+def test_on_a_slow_line_queued_messages_are_not_repeated():
     link = connected(baud=9600.0).uploading(3, KNOTS[:2], 5)
     link, first = replace(link, heartbeat_at=1.0).due(0.02)  # after Hello
     assert messages_in(first) == [Begin(3, 2, 3201564194)]
@@ -293,7 +293,7 @@ def test_the_trigger_follows_the_greeting_and_no_stop_forgets_it():
     assert link.refusal == ""
 
 
-def test_two_stop_requests_are_one_and_the_stronger_one_stays():
+def test_of_two_stop_requests_the_stronger_remains():
     link, first = connected(State.PLAYING).stopping().due(0.01)
     link, again = link.stopping().due(0.011)
     assert said_packets(again)[0] == said_packets(first)[0]  # at once, and no new stop

@@ -169,7 +169,10 @@ class Player:
     max_knots, hold_s = 2000, 10.0
 
     def __init__(self, clock) -> None:
-        self.clock, self.condition, self.plan, self.count = clock, Condition.OFF, [], 0
+        self.clock = clock
+        self.condition = Condition.OFF
+        self.plan = []
+        self.count = 0
 
     def send(self, table, repeats) -> None:
         self.count, now = self.count + 1, self.clock()
@@ -571,7 +574,7 @@ def test_an_enable_without_a_stop_changes_nothing(driven):
     assert stopped.enabled_at == before
 
 
-def test_bytes_that_are_no_message_end_nothing(driven):
+def test_truncated_messages_do_not_end_the_driver(driven):
     """As of a computer with other interfaces."""
     data = serialize_message(cycle_to_msg(GENTLE, to_time(driven.clock.time_ns())))
     assert driven.send_bytes(data[: len(data) // 2]).startswith("JointTrajectory: ")

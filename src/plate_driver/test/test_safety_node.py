@@ -36,12 +36,18 @@ class Withheld:
         Makes an order of the longest time to wait for it [s].
     """
 
-    motors, calibrates, max_knots, hold_s = True, False, MAX_KNOTS, 2.0
+    motors = True
+    calibrates = False
+    max_knots = MAX_KNOTS
+    hold_s = 2.0
 
     def __init__(self, clock=time.monotonic, order=Order) -> None:
         self._clock, self._order = clock, order
         self.reported, self.telemetry = Report(Condition.OFF), True
-        self.stops, self.cuts, self.enables, self.closed = [], [], [], 0
+        self.stops = []
+        self.cuts = []
+        self.enables = []
+        self.closed = 0
 
     def open(self) -> None:
         self.stops = []

@@ -28,7 +28,7 @@ def _terminal():
         os.close(end)
 
 
-def test_bytes_go_both_ways_and_nothing_waits(terminal):
+def test_bytes_pass_in_both_directions_without_blocking(terminal):
     master, slave = terminal
     port = open_port(os.ttyname(slave))
     everything = bytes(range(256))
@@ -148,7 +148,7 @@ def test_knots_are_the_table():
         assert np.array_equal(got, got.astype(np.float32))
 
 
-def test_a_full_line_loses_bytes_and_nobody_waits(terminal):
+def test_a_full_line_loses_bytes_and_does_not_block(terminal):
     _, slave = terminal
     port = open_port(os.ttyname(slave))
     chunk = bytes(1000)

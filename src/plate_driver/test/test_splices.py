@@ -111,7 +111,7 @@ def test_a_cycle_in_motion_begins_to_the_last_bit_where_the_last_one_ends(pair):
     assert knots(table)[0].position == knots(before)[KNOTS].position
 
 
-def test_a_cycle_in_motion_that_begins_elsewhere_is_refused(pair, rng):
+def test_a_cycle_in_motion_with_another_start_state_is_refused(pair, rng):
     first, second = pair
     with pytest.raises(CycleError, match=r"differs from rest by .*, allowed: the same state"):
         prepare(RIG, second, 1)
@@ -314,7 +314,11 @@ def test_motors_that_are_too_warm_end_in_a_scaled_cycle_from_rest_and_go_on(rng)
     loads = [np.max(usage(RIG, spliced(rng, spliced(rng))).thermal_load) for _ in range(50)]
     force = RIG.limits.continuous_force * np.sqrt(np.mean(loads) / 2)
     weak = replace(RIG, limits=replace(RIG.limits, continuous_force=force, thermal_time_s=1.5))
-    guard, before, now, refused, taken = Guard(weak), None, 0.0, [], []
+    guard = Guard(weak)
+    before = None
+    now = 0.0
+    refused = []
+    taken = []
     for k in range(200):
         now = k * PERIOD
         guard, _ = guard.watched(now)
@@ -354,7 +358,10 @@ class Player:
         self.pass_on()
 
     def take(self, at) -> None:
-        self.table, self.waiting, self.began, self.left = self.waiting, None, at, self.plays - 1
+        self.table = self.waiting
+        self.waiting = None
+        self.began = at
+        self.left = self.plays - 1
         self.ways = [self.way(part) for part in (self.table, self.table.tail) if part is not None]
 
     @staticmethod
@@ -476,7 +483,10 @@ def test_the_plate_never_jumps_with_random_cycles():
     rig = replace(RIG, limits=replace(RIG.limits, continuous_force=1.0, thermal_time_s=3.0))
     for seed in range(6):
         rng = np.random.default_rng(seed)
-        guard, player, last, refused = Guard(rig, hold_cycles=2), Player(), spliced(rng), 0
+        guard = Guard(rig, hold_cycles=2)
+        player = Player()
+        last = spliced(rng)
+        refused = 0
         for k in range(60):
             cycle = sender(rng, guard, last)
             last = cycle if cycle.tail is not None else last

@@ -26,7 +26,7 @@ def test_heat_follows_its_equation():
 
 
 @pytest.mark.parametrize("rise", [0.0, 0.5, 0.999, 1.0])
-def test_there_is_room_up_to_the_limit_and_no_further(rise):
+def test_the_allowed_load_leads_exactly_to_the_limit(rise):
     heat = ThermalState(rise=np.full(4, rise))
     room = heat.allowed_load(RIG, 3.0)
     assert np.all(room >= 1)

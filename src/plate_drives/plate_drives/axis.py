@@ -48,13 +48,20 @@ reported."""
 ASTRAY_M = 1e-3
 """Maximum following error if the rig file does not contain a limit [m]."""
 
-START, PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 0x01, 0x80, 0x81, 0x82
+START = 0x01
+PRE_OPERATIONAL = 0x80
+RESET_NODE = 0x81
+RESET_COMMUNICATION = 0x82
 OPERATIONAL, PDO_OFF, NO_RTR = 5, 1 << 31, 1 << 30
 OPERATION_ENABLED, OPERATION_MASK = 0x227, 0x26F
 """State *operation enabled* of CiA 402 in a status word of a drive under remote control, and the
 mask of the bits that define it."""
 
-DISABLE, QUICK_STOP, SHUTDOWN, SWITCH_ON, OPERATE = 0x00, 0x02, 0x06, 0x07, 0x0F
+DISABLE = 0x00
+QUICK_STOP = 0x02
+SHUTDOWN = 0x06
+SWITCH_ON = 0x07
+OPERATE = 0x0F
 
 STEPS = (
     (0x6040, 0, DISABLE, 2),  # disable the drive in any state

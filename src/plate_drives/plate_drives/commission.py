@@ -72,7 +72,10 @@ class Dialogue:
     bus match the rig file."""
 
     def __init__(self, rig: Rig, master: Master, found: dict[int, BusNode], ask: AskUser) -> None:
-        self._rig, self._master, self._nodes, self._ask = rig, master, found, ask
+        self._rig = rig
+        self._master = master
+        self._nodes = found
+        self._ask = ask
         self._size = min(SIZE_M, rig.limits.stroke_m / 4)
 
     def ask(self, question: str, axis: Axis | None = None) -> str:

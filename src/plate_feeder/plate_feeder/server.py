@@ -175,7 +175,10 @@ class _Client:
         stop: asyncio.Event,
     ) -> None:
         self.number = number
-        self._reader, self._writer, self._on_command, self._stop = reader, writer, on_command, stop
+        self._reader = reader
+        self._writer = writer
+        self._on_command = on_command
+        self._stop = stop
         self._queue: asyncio.Queue[Command | tuple[Code, str]] = asyncio.Queue()
         self._waiting, self._busy = 0, False
         writer.transport.set_write_buffer_limits(high=CHUNK)

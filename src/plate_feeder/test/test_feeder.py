@@ -691,7 +691,7 @@ def test_no_hopper_is_open_for_longer_at_once_than_the_simulators_may_be():
     assert [duration for _, duration in cell.opened] == [60.0]
 
 
-def test_a_clock_that_was_set_back_holds_nothing_back_for_ever():
+def test_a_clock_that_was_set_back_delays_nothing_forever():
     cell = Cell(ready=("black_1",))
     cell.get()
     cell.answer()
@@ -707,7 +707,10 @@ def test_any_sequence_of_commands_and_statuses(seed):
     rng = np.random.default_rng(seed)
     task = replace(PURGED, picks=(BLACK, GREY), timeout_s=3.0, valid_s=1.5)
     cell = Cell(task, ready=(), seen={"black": 5, "grey": 5})
-    feeder, reported, waiting, answered = cell.feeder, {}, {}, 0
+    feeder = cell.feeder
+    reported = {}
+    waiting = {}
+    answered = 0
     names = [f"{label}_{k}" for label in ("black", "grey") for k in range(4)]
     for _ in range(3000):
         who, deed = rng.choice(["robot", "other"]), rng.choice(10, p=[0.4, *8 * [0.07], 0.04])

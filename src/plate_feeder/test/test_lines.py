@@ -84,7 +84,7 @@ def test_any_line_is_a_command_or_refused(line):
         assert len(answer) <= MAX_ANSWER + 2
 
 
-def test_answers_are_one_line_of_plain_text():
+def test_replies_are_one_line_of_plain_text():
     assert answer_line(Code.DONE, "a\nb\r\n  c é") == b"200 a b c ?\r\n"
 
 

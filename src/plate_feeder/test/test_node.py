@@ -41,8 +41,14 @@ class Planner:
 
     def __init__(self, clock):
         self.node = rclpy.create_node("planner")
-        self.goal, self.results, self.orders, self.opened = None, {}, [], []
-        self.mode, self.ready, self.seen, self.began = FeedMode.FEED, {}, 15, 0
+        self.goal = None
+        self.results = {}
+        self.orders = []
+        self.opened = []
+        self.mode = FeedMode.FEED
+        self.ready = {}
+        self.seen = 15
+        self.began = 0
         self.silent, self.jam = False, ""
         self.publish = self.node.create_publisher(FeedStatus, "feed_status", DATA).publish
         self.tell = self.node.create_publisher(TaskStatus, "task_status", LATCHED).publish
@@ -266,7 +272,7 @@ def test_over_tcp(graph):
 
 
 @pytest.mark.parametrize("lost", ["goal", "answer"])
-def test_a_goal_that_nobody_answers_is_sent_again_and_begun_once(graph, monkeypatch, lost):
+def test_a_goal_without_a_reply_is_sent_again_but_executed_once(graph, monkeypatch, lost):
     client = graph.feeder._task._client
     send, unanswered = client.send_goal_async, []
 

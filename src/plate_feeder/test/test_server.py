@@ -162,7 +162,7 @@ def test_too_long_a_line_ends_the_connection(robot):
     assert [line[:4] for line in robot.lines()] == [b"400 "]
 
 
-def test_half_a_line_is_not_waited_for(stub, robot, monkeypatch):
+def test_an_incomplete_line_is_refused_after_a_timeout(stub, robot, monkeypatch):
     monkeypatch.setattr(module, "LINE_S", 0.2)
     robot.send(b"sta")
     assert robot.line().startswith(b"400 ")

@@ -225,7 +225,11 @@ class Episode:
         poll = select.poll()
         for file in (messages, output, self._requests):
             poll.register(file, select.POLLIN)
-        waited, checked, sent, total, before = 0.0, 0.0, 0.0, 0.0, time.monotonic()
+        waited = 0.0
+        checked = 0.0
+        sent = 0.0
+        total = 0.0
+        before = time.monotonic()
         total_s = self._limits.episode_s
         while True:
             events = dict(poll.poll(1e3 * POLL_S))

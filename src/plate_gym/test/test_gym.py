@@ -99,7 +99,7 @@ def test_tasks_have_unchanged_digests(gym):
         ("Feed-v1", {"action": "forces"}, 3),
     ],
 )
-def test_many_plates_do_as_one(gym, task, settings, steps):
+def test_many_plates_behave_like_single_plates(gym, task, settings, steps):
     """To the last bit, on two cores and on one."""
     many = gym.PlateVectorEnv(task, 3, threads=2, **settings)
     rng = np.random.default_rng(5)
@@ -115,7 +115,7 @@ def test_many_plates_do_as_one(gym, task, settings, steps):
     ("task", "world"),
     [("Sort4-v1", "held_out"), ("Sort10-v1", "nominal"), ("Corners12-v1", "misses")],
 )
-def test_many_plates_that_end_and_restart_do_as_one(gym, task, world):
+def test_many_plates_that_end_and_restart_behave_like_single_plates(gym, task, world):
     """To the last bit. On all plates but the first, a part begins at a corner and falls off."""
     many = gym.PlateVectorEnv(task, 3, world=world, threads=2)
     alone = [gym.PlateEnv(task, world=world) for _ in range(3)]
@@ -507,7 +507,10 @@ class Tk:
     """A desktop's toolkit like Tk: it destroys a closed window, unless another handler is set."""
 
     def __init__(self):
-        self.lock, self.updates, self.closed, self.on_close = Lock(), 0, False, self.destroy
+        self.lock = Lock()
+        self.updates = 0
+        self.closed = False
+        self.on_close = self.destroy
 
     def title(self, text):
         pass

@@ -184,7 +184,7 @@ def test_seeds_of_any_size_are_run_again(bench, result, monkeypatch):
 
 
 @pytest.mark.parametrize("good", [True, False])
-def test_fresh_seeds_show_a_share_that_was_picked(bench, result, monkeypatch, good):
+def test_fresh_seeds_reveal_selected_seeds(bench, result, monkeypatch, good):
     """An agent that does well on the seeds that it hands in only."""
     row, reports = result["tasks"]["Sort4-v1"]["rows"][0], []
 
@@ -610,7 +610,7 @@ def test_a_summary_is_of_its_rows(bench, result, monkeypatch):
     assert bench.check(changed) == ["Sort4-v1: the summary does not match its rows"]
 
 
-def test_an_agent_of_ones_own_by_the_command(tmp_path, bench, monkeypatch):
+def test_the_command_evaluates_a_user_agent(tmp_path, bench, monkeypatch):
     """An agent that does nothing gets no reward during the whole task. It runs where libraries
     compute the same on all processors."""
     monkeypatch.delenv("NPY_DISABLE_CPU_FEATURES", raising=False)

@@ -370,7 +370,7 @@ def test_most_of_a_long_output_is_omitted(hostile, printed):
     assert "seed 3, step 0: omitted the agent's output after 100,000 bytes\n" in output
 
 
-def test_output_cannot_be_mistaken_for_that_of_the_judge(hostile, printed):
+def test_output_of_an_agent_cannot_imitate_that_of_the_supervisor(hostile, printed):
     with pytest.raises(PlateError, match="RuntimeError: done"):
         hostile("Escapes")
     lines = printed().splitlines()

@@ -317,7 +317,10 @@ def run_free(rate, latency, given=None, jitter=0.0, cycles=40, seed=0, later=0.0
     Images are taken at `rate` [1/s]; halfway their latency grows by `later` [s].
     """
     world, rng = World(4, 1.1, seed), np.random.default_rng(seed)
-    estimator, cycle, middle, last = Estimator.of(RIG, T, given), PlateCycle.rest(T), 0.01, 0.0
+    estimator = Estimator.of(RIG, T, given)
+    cycle = PlateCycle.rest(T)
+    middle = 0.01
+    last = 0.0
     for k in range(cycles):
         estimator = estimator.started(cycle, k * T)
         yield estimator, world.place

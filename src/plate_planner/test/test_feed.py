@@ -89,7 +89,7 @@ def test_parts_outside_the_window_are_led_there_the_nearest_first():
     assert targets.low[0, 0] >= TASK.picks[0].low[0]
 
 
-def test_an_order_to_rest_is_kept_whatever_lies_there():
+def test_an_order_to_rest_is_kept_for_any_parts_on_the_plate():
     task = replace(TASK, order=FeedOrder(FeedMode.REST))
     crowd = parts(black_1=(0.0, 0.0), black_2=(0.017, 0.0))
     memory, found = run(task, *3 * [crowd])
@@ -188,7 +188,7 @@ def test_a_part_that_moves_on_a_plate_at_rest_is_not_ready():
     assert set(memory.report.ready.ids) == {"black_1", "black_3"}
 
 
-def test_a_hidden_part_is_still_in_the_way():
+def test_a_hidden_part_is_still_an_obstacle():
     rules, memory = Feeder(TASK, RIG), None
     hidden = parts(black_4=(0.01, 0.005))
     for k in range(3):
@@ -265,7 +265,7 @@ def test_parts_that_are_gone_are_counted_by_the_side_where_they_were(name, place
     assert memory.report.lost == (place[0] > -0.2 and lost)
 
 
-def test_bars_are_turned_the_shorter_way():
+def test_bars_rotate_by_the_smaller_angle():
     rig, scenario = load_rig("shapes"), load_scenario("feed_bars")
     seen = Parts.make(
         ("bar_1", "bar_2", "bar_3"), np.array([[0, 0], [0.1, 0], [0.2, 0.0]]),

@@ -380,7 +380,7 @@ def test_references_slow_down_as_soon_as_a_cycle_falls_short_of_the_request(frac
     assert memory.scaling[1] == 1.0
 
 
-def test_references_that_another_program_sets_stay_whatever_an_image_shows():
+def test_references_set_by_another_program_stay_for_any_image():
     scenario = load_scenario("follow_2")
     plant, follower = Plant(scenario), Follower(scenario.task, RIG)
     memory = replace(follower.begin(plant.seen(), 0.0), anchor=1.0, progress=0.8, fixed=True)

@@ -13,7 +13,10 @@ from plate_vision.image_sources import Settings
 
 def clocked(rate, seconds=15.0, scatter=0.005, dropped=0.0, seed=0):
     """Return the clock in the end, and by how much its instants were wrong in the second half."""
-    rng, clock, last, errors = np.random.default_rng(seed), FrameClock(), -1.0, []
+    rng = np.random.default_rng(seed)
+    clock = FrameClock()
+    last = -1.0
+    errors = []
     for i in range(int(rate * seconds)):
         if rng.random() >= dropped:
             instant = 3.0 + i / rate

@@ -144,7 +144,7 @@ def test_targets_are_refused_while_no_task_of_move_runs():
 
 
 @pytest.mark.parametrize("gone", ["black_1", "grey_2"])
-def test_a_part_that_is_gone_ends_it_with_its_name(gone):
+def test_a_lost_part_ends_the_task_with_the_name_of_the_part(gone):
     plant, planner = Plant(SORT_4), endless(THERE)
     state, _, _ = run(planner, plant, cycles=3)
     for k in range(3, 25):

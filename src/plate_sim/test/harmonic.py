@@ -53,7 +53,10 @@ class TwoHarmonics:
     def travel(self, end):
         """Travel of a part from rest, phase by phase (scipy's DOP853 with events, and brentq), and
         how often it stuck."""
-        t, x, v, stuck = 0.0, 0.0, 0.0, 0
+        t = 0.0
+        x = 0.0
+        v = 0.0
+        stuck = 0
         while t < end:
             slip = self.velocity(t) - v
             sign = np.sign(slip)

@@ -142,7 +142,7 @@ def test_a_part_on_a_gently_shaken_plate_rides_with_it(shape):
     assert np.ptp(run.angle[:, 0] - poses[:, 2]) == pytest.approx(0, abs=1e-12)
 
 
-def test_parts_that_do_not_meet_do_as_each_alone():
+def test_parts_without_contact_move_like_single_parts():
     """To the last bit, in whatever group they are moved: discs, a bar and a tripod among them."""
     rng, count = np.random.default_rng(8), 69
     parts = [disc(0.008), disc(0.012)] * 34 + [disc(0.01)]

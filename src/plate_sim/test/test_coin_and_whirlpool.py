@@ -65,7 +65,11 @@ def strokes(period, back=0.1, ramp=0.05, speed=1.0):
 
 def test_coin_moves_as_in_scipy():
     # In axes along and across the line from the plate's centre to the coin
-    frequency, spin, radius, start, seconds = 25, 1.1, 0.0095, 0.1, 2
+    frequency = 25
+    spin = 1.1
+    radius = 0.0095
+    start = 0.1
+    seconds = 2
     x, y = cells(radius, 12, 36)
     w = 2 * np.pi * frequency
 
@@ -94,7 +98,10 @@ def test_coin_moves_as_in_scipy():
 @pytest.mark.parametrize(("frequency", "min_ratio"), [(25, 0.44), (400, 0.49)])
 def test_coin_circles_at_constant_speed_and_moves_out(frequency, min_ratio):
     # At half the plate's spin, its median, if the plate is much quicker than mu g T; else slower.
-    spin, start, count, samples = 1.1, [[0.1, 0]], 4 * frequency, 16
+    spin = 1.1
+    start = [[0.1, 0]]
+    count = 4 * frequency
+    samples = 16
     cycle = turning(frequency, spin)
     coin = simulate_bodies(
         cycle, disc(0.0095), start, 0, [[0, 0]], 0, MU, cycles=count, samples=samples

@@ -133,7 +133,7 @@ def test_only_the_states_in_order_give_current():
         ([0, 0.0, 0.00044], 2, 1.1),
     ],
 )
-def test_the_judge_sees_what_is_beyond(places, share, value):
+def test_the_check_measures_setpoints_beyond_the_limits(places, share, value):
     drives = enabled()
     check = SetpointCheck(DRIVES, drives.zeros, LIMITS)
     for position in places:

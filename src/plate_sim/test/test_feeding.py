@@ -53,7 +53,7 @@ def run(simulation, count, cycle=REST):
 
 @pytest.mark.parametrize("scenario", ["feed", "feed_bars", "feed_nuts"])
 @pytest.mark.parametrize("seed", [0, 1])
-def test_a_heap_is_dense_and_nothing_lies_on_another(scenario, seed):
+def test_a_heap_is_dense_and_its_parts_do_not_overlap(scenario, seed):
     rig = DISCS if scenario == "feed" else SHAPES
     simulation = world(scenario, seed, parts=False)
     hopper = load_scenario(scenario).task.hopper
@@ -295,7 +295,7 @@ def test_round_parts_have_an_angle_only_if_they_are_marked():
         assert grip.error_rad == pytest.approx(0.3 if marked else 0.0)
 
 
-def test_a_grip_beside_all_parts_takes_none_and_reports_it():
+def test_a_grip_that_misses_all_parts_takes_none_and_reports_this():
     simulation = world()
     position = simulation.state.position[4]
     before = simulation.state

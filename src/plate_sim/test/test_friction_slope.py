@@ -36,7 +36,7 @@ def run(part, velocity, spin, slope, time, cycle=None, heave=0.0, samples=0):
 
 @pytest.mark.parametrize("part", [disc(RADIUS), SQUARE], ids=["disc", "square"])
 @pytest.mark.parametrize("slope", [3.0, 0.4, -0.4, -3.0])
-def test_a_part_alone_comes_to_rest_as_in_the_closed_form(part, slope):
+def test_a_single_part_comes_to_rest_as_in_the_closed_form(part, slope):
     heading = np.array([0.6, 0.8])
     time, way = stopping(0.5, slope)
     ends = run(part, 0.5 * heading, 0, slope, 1.2 * time)

@@ -183,7 +183,7 @@ def test_a_shaken_crowd_overlaps_by_20_micrometres_at_most(shape, count, pull):
     assert deepest < 20e-6
 
 
-def test_a_part_beyond_the_edge_is_gone():
+def test_a_part_beyond_the_edge_leaves_the_plate():
     position = np.array([[0.295, 0.0], [0.27, 0.0], [0.0, 0.0]])
     speed = np.array([[0.5, 0], [0, 0], [0, 0]])
     states = check_starts([(position, np.zeros(3), speed, np.zeros(3))])

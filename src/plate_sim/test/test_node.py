@@ -64,7 +64,10 @@ class Loop:
             arguments += ["-p", f"{name}:={str(value).lower()}"]
         rclpy.init(args=arguments)
         self.answer = answer
-        self.images, self.infos, self.truths, self.reports = [], [], [], []
+        self.images = []
+        self.infos = []
+        self.truths = []
+        self.reports = []
         self.ear = Node("ear")
         for kind, topic, received, qos in (
             (CameraInfo, "camera_info", self.infos.append, CAMERA),

@@ -30,7 +30,7 @@ def blank(simulation, rig=RIG, noise=0.0):
     return lambda position, pose: camera.render(position, grey, np.random.default_rng(0), pose=pose)
 
 
-def test_plates_together_do_as_each_alone():
+def test_plates_simulated_together_equal_single_plates():
     """To the last bit, whatever the world, and however many cores there are."""
     worlds = [NONE, Disturbances(friction_patches=0.3, tilt_x=0.01), Disturbances(latency=0.05)]
     for name in ("sort_4", "sort_mixed"):

@@ -28,7 +28,10 @@ DAMPING, STIFFNESS = modal_matrices(MASS, [FREQUENCY] * 3, [RATIO] * 3)
 COUPLED = ((9e4, 2e4, 3e3), (2e4, 8e4, -1e3), (3e3, -1e3, 4e3))
 PUSH = np.array([[1, 1, 0, 0], [0, 0, 1, 1], [-0.1, 0.1, -0.2, 0.2]])  # of the default rig
 UNEQUAL = (1.15, 0.85, 1.1, 0.9)
-BY_HEART, STATIC, WEIGHED, FREE = (1, 1, 1), (0, 0, 1), (1, 0, 1), (1, 0, 0)
+BY_HEART = (1, 1, 1)
+STATIC = (0, 0, 1)
+WEIGHED = (1, 0, 1)
+FREE = (1, 0, 0)
 
 
 def rig(**changes):

@@ -86,7 +86,7 @@ def test_agrees_with_quadrature_of_the_textbook_formula(seed):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_is_what_a_nearly_frictionless_part_gains_in_the_simulator(wild, seed):
+def test_it_equals_the_gain_of_a_nearly_frictionless_part_in_the_simulator(wild, seed):
     # Friction too weak to move the part: its gain of velocity is the mean force. The plate's own
     # displacement, which the map neglects, is 0.1 um after scaling; velocities scale along.
     scale, mu, gravity = 1e-4, 1e-12, 9.81

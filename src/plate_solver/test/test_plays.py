@@ -124,7 +124,10 @@ def test_parts_end_where_predicted_after_one_play_and_after_two(rig, scene):
 
 def left_after(rig, goal, cycle, plays):
     """Cost of where the parts are once the motion of a cycle was played `plays` times."""
-    once, position, velocity, state = family_of(rig), goal.position, goal.velocity, PLATE
+    once = family_of(rig)
+    position = goal.position
+    velocity = goal.velocity
+    state = PLATE
     times = (np.arange(once.basis.steps) + 0.5) * once.basis.dt
     own = once.nearest(cycle.twist(times))
     for _ in range(plays):

@@ -159,7 +159,7 @@ def test_more_than_full_friction_is_known_to_be_too_much(method, size):
 
 
 @BOTH
-def test_slack_makes_possible_what_is_not(method):
+def test_tolerance_makes_an_infeasible_request_feasible(method):
     # Close parts pushed apart: hard, unless it matters only along y, where both want the same.
     position = np.array([[0.05, 0.03], [0.056, 0.03]])
     force = np.array([[0.15, 0.1], [-0.15, 0.1]])

@@ -47,7 +47,7 @@ def test_cycle_agrees_with_the_samples_it_was_found_on(rig, number, period, at_r
     np.testing.assert_allclose(cycle.accel(t), accel, atol=5e-3 * np.abs(accel).max())
 
 
-def test_many_cycles_are_as_each_alone(rig):
+def test_many_cycles_together_equal_the_single_cycles(rig):
     """To the last bit."""
     family = sinusoid_basis(4, 0.1, True)
     many = np.stack([random_motion(family, rig, seed) for seed in range(3)])
@@ -80,7 +80,7 @@ def test_random_motions_use_the_limits_in_full(rig, number, seed):
     assert 0.96 < usage(rig, cycle).worst < 1
 
 
-def test_a_motion_of_nothing_stays_nothing(rig):
+def test_a_motion_of_zero_amplitude_remains_zero(rig):
     family = SinusoidFamily(sinusoid_basis(2, 0.1, True), Limits.of(rig))
     still = np.zeros(3 * family.basis.size)
     assert np.all(family.admissible(still) == 0)

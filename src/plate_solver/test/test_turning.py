@@ -52,7 +52,10 @@ def test_a_part_that_turns_on_the_spot_spins_down():
 @pytest.mark.parametrize("angle", [0.0, np.pi / 2, 0.7])
 def test_a_bar_that_slides_is_turned_most_along_its_length(angle):
     """Sliding at v along x, the torque is mu m g c <x^2>/v, x along the slide."""
-    n, dt, speed, spin = 100, 1e-5, 1.0, 0.5
+    n = 100
+    dt = 1e-5
+    speed = 1.0
+    spin = 0.5
     twist, still = np.tile([speed, 0, 0], (n, 1)), np.zeros((1, 2))
     motion = np.zeros((n, 3)), twist, np.full(n, dt)
     after = turned(BAR, np.array([angle]), still, still, np.array([spin]), motion)[3]
@@ -191,7 +194,7 @@ def loop_to_angles(method, ids, position, angle, request, cycles):
 
 
 @pytest.mark.parametrize(("method", "cycles"), [("sinusoids", 12), ("rotations", 30)])
-def test_bars_turn_opposite_ways_at_once(method, cycles):
+def test_two_bars_rotate_in_opposite_directions_at_the_same_time(method, cycles):
     position = np.array([[-0.1, 0.02], [0.05, -0.04]])
     request = np.array([0.5, -0.3])
     angle = loop_to_angles(method, ("bar_1", "bar_2"), position, [0.0, 0.2], request, cycles)

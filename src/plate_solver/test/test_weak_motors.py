@@ -94,7 +94,7 @@ def test_limits_of_the_rig_are_used(name):
 
 
 @WEAK
-def test_a_cycle_in_motion_keeps_the_limits_and_so_does_the_way_to_rest_from_its_end(name):
+def test_a_cycle_in_motion_and_its_tail_keep_the_limits(name):
     rig, plate = RIGS[name], np.zeros((3, 3))
     full = Limits.of(rig, 1.0)
     for seed in range(6):

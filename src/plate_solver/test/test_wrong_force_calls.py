@@ -13,7 +13,10 @@ from plate_solver.limits import Limits
 from plate_solver.rotations.family import RotationFamily
 from plate_solver.sinusoids import sinusoid_basis
 
-PARTS, STEPS, NUMBER, ROWS = 3, 8, 2, 4
+PARTS = 3
+STEPS = 8
+NUMBER = 2
+ROWS = 4
 LIMITS = Limits.of(load_rig())
 RNG = np.random.default_rng(0)
 

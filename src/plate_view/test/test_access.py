@@ -7,7 +7,7 @@ from plate_view import Access, AccessError, Role
 OPERATOR, VIEWER = "operator1234", "viewer123456"
 
 
-def test_alone_on_this_machine_every_browser_is_an_operator():
+def test_if_the_page_is_local_every_browser_is_an_operator():
     access = Access()
     assert access.role("") is Role.OPERATOR
     assert access.is_local

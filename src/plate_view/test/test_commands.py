@@ -58,7 +58,7 @@ def test_a_target_without_an_angle_may_have_any():
     assert (target["id"], target["x"], target["y"]) == ("black_1", 0.1, -0.05)
 
 
-def test_a_viewer_commands_nothing():
+def test_a_viewer_cannot_send_commands():
     for name, values in GOOD.items():
         if name in FOR_ALL:
             assert read(name, values, Role.VIEWER).name == name

@@ -133,7 +133,10 @@ class Task:
         send: Callable[[Callback, Callback], None],
         check: Callable[[], None] = lambda: None,
     ) -> None:
-        self.name, self._send, self._check, self._sent = name, send, check, 0
+        self.name = name
+        self._send = send
+        self._check = check
+        self._sent = 0
         self.progress = TaskProgress()
         self.feedbacks = 0  # number of feedback messages
         self.status: TaskStatus | None = None

@@ -217,7 +217,10 @@ def _find_peaks(
         if len(hiding) > MAX_PIECES + len(steps):
             np.maximum.at(low, group[piece], np.max(high, axis=1))
             return low
-        piece, start, length, spans = piece[hiding], t[hiding, span], length[hiding], CUTS
+        piece = piece[hiding]
+        start = t[hiding, span]
+        length = length[hiding]
+        spans = CUTS
 
 
 def _evaluate_polynomials(coefficients: np.ndarray, t: np.ndarray) -> np.ndarray:

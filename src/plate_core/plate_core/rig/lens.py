@@ -353,7 +353,10 @@ class Lens:
         if s1 or s2 or s3 or s4:
             u, v = u + r2 * (s1 + r2 * s2), v + r2 * (s3 + r2 * s4)
             across, down = 2 * s1 + 4 * s2 * r2, 2 * s3 + 4 * s4 * r2
-            a, b, c, d = a + across * x, b + across * y, c + down * x, d + down * y
+            a = a + across * x
+            b = b + across * y
+            c = c + down * x
+            d = d + down * y
         return u, v, a, b, c, d
 
     def _distort(self, ray: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -45,7 +45,10 @@ class CalibrationRun:
         clocks: Clocks,
         log: Callable[[str, bool], None],
     ) -> None:
-        self._playback, self._latch, self._clocks, self._log = playback, latch, clocks, log
+        self._playback = playback
+        self._latch = latch
+        self._clocks = clocks
+        self._log = log
         self._experiment: Experiment | None = None
         self._path = ""
         self._outcome, self.failed = "", False  # result of the last calibration

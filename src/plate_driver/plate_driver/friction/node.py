@@ -92,7 +92,10 @@ class FrictionServer:
         status: Callable[[], DriverStatus],
     ) -> None:
         self._driver, self._playback, self._transports = driver, playback, transports
-        self._intake, self._latch, self._clocks, self._status = intake, latch, clocks, status
+        self._intake = intake
+        self._latch = latch
+        self._clocks = clocks
+        self._status = status
         self._result: FrictionResult | None = None
         self._reset()
 

@@ -101,7 +101,8 @@ static void requests(Draws& draws) {
     const Numbers position = draws.many(2 * count, -0.2, 0.2), slack = draws.many(2 * count, 0, 0.5);
     put(request_flags(given<2>(position, {count, 2}), given<2>(force, {count, 2}),
                       given<2>(position, {count, 2}), given<1>(position, {count}),
-                      given<2>(slack, {count, 2})).loaded);
+                      given<2>(slack, {count, 2}))
+            .max_force);
 }
 
 static void limits_used(Draws& draws) {

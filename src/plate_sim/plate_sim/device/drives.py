@@ -20,11 +20,19 @@ from .plate import COAST_RATE
 
 Frame = tuple[int, bytes]
 
-SYNC, TPDO, RPDO, ANSWER, REQUEST, HEARTBEAT = 0x80, 0x180, 0x200, 0x580, 0x600, 0x700
+SYNC = 0x80
+TPDO = 0x180
+RPDO = 0x200
+ANSWER = 0x580
+REQUEST = 0x600
+HEARTBEAT = 0x700
 
 MODE = 0x6060
-OFF, READY, SWITCHED_ON, ENABLED = 0x250, 0x231, 0x233, 0x237
-"""Statusword of CiA 402 in each power state."""
+# Statusword of CiA 402 in each power state
+OFF = 0x250
+READY = 0x231
+SWITCHED_ON = 0x233
+ENABLED = 0x237
 
 NEXT = {
     (OFF, 6): READY, (READY, 7): SWITCHED_ON, (SWITCHED_ON, 15): ENABLED, (SWITCHED_ON, 6): READY,
@@ -36,11 +44,17 @@ REMOTE = 0x800
 """Flag that marks the identifier of a remote frame. A remote frame is a CAN frame that requests
 data."""
 
-GET_VERSION, ODRIVE_HEARTBEAT, ESTOP, GET_ERROR = 0x00, 0x01, 0x02, 0x03
-SET_STATE, GET_ESTIMATES, SET_POSITION, CLEAR_ERRORS = 0x07, 0x09, 0x0C, 0x18
+# Messages, states and errors of an ODrive
+GET_VERSION = 0x00
+ODRIVE_HEARTBEAT = 0x01
+ESTOP = 0x02
+GET_ERROR = 0x03
+SET_STATE = 0x07
+GET_ESTIMATES = 0x09
+SET_POSITION = 0x0C
+CLEAR_ERRORS = 0x18
 IDLE, CLOSED_LOOP = 1, 8
 WATCHDOG_TIMER_EXPIRED, ESTOP_REQUESTED = 1 << 24, 1 << 25
-"""Messages, states and errors of an ODrive."""
 
 WATCHDOG_MS = 100
 """Value of the parameter watchdog_timeout of an ODrive [ms]."""

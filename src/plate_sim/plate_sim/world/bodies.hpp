@@ -48,8 +48,8 @@ constexpr double ROUNDED = 1 + 1e-12;
 // Maximum number of time steps between two checks of the parts' positions.
 constexpr int UNCHECKED = 16;
 
-// Limits to the motion of parts that are advanced by `glide` only.
-struct Limits {
+// GlideLimits to the motion of parts that are advanced by `glide` only.
+struct GlideLimits {
     double gap;           // distance by which two parts may approach each other [m]
     const double* half;   // half sides of the plate (2,) [m]
     const double* reach;  // see `Course`
@@ -106,7 +106,7 @@ struct Extent {
 
     // Returns a number of steps after which `approach` is still below the gap, and the parts are
     // still `within` the plate. The estimate is one step too low, which covers rounding errors.
-    int safe_steps(const Limits& limits, double step) const {
+    int safe_steps(const GlideLimits& limits, double step) const {
         const double move = step * (speed + UNCHECKED * limits.max_dv), turn = limits.reach[2];
         const double x = std::max(-low[0], high[0]) + limits.reach[0];
         const double y = std::max(-low[1], high[1]) + limits.reach[1];
@@ -131,7 +131,7 @@ struct Extent {
 // Returns the number of complete steps. If this number is below `maximum`, `glide` has already
 // advanced its parts in the next step.
 PLATE_WIDE inline int glide_steps(std::span<Group> groups, const PlateSample* plate, double step,
-                                  const GroundEffect& ground, const Limits& limits, int count,
+                                  const GroundEffect& ground, const GlideLimits& limits, int count,
                                   int maximum) {
     begin_glide(plate[0], groups);
     int unchecked = 0;
@@ -233,7 +233,7 @@ inline contacts::Overlap run(const Job& job, const Shapes& shapes, const contact
         }
         if (any_glides) {
             // If the plate has walls, contacts are checked in every step.
-            const Limits limits{rules.walls ? 0 : near.gap, half, course.reach, max_dv};
+            const GlideLimits limits{rules.walls ? 0 : near.gap, half, course.reach, max_dv};
             const int glided =
                 glide_steps(parts, &plate[2 * k], step, job.ground, limits, remaining, end - k);
             made += glided, k += glided;

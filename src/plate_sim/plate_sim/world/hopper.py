@@ -195,7 +195,10 @@ class Dispenser:
     """
 
     def __init__(self, hopper: Hopper | None, rig: Rig, rng: np.random.Generator) -> None:
-        self._hopper, self._rig, self._rng, self._flow = hopper, rig, rng, Flow()
+        self._hopper = hopper
+        self._rig = rig
+        self._rng = rng
+        self._flow = Flow()
 
     @property
     def is_open(self) -> bool:

@@ -106,7 +106,10 @@ class Simulation:
         self.state = WorldState.of_scenario(scenario, rig, layout)
         self.plate = PlateState.at_rest()
         self.disturbances = disturbances
-        self._rig, self._contacts, self._mu_scale, self._time = rig, contacts, mu_scale, 0.0
+        self._rig = rig
+        self._contacts = contacts
+        self._mu_scale = mu_scale
+        self._time = 0.0
         self._field = FrictionField.draw(disturbances, len(self.state.ids), field)
         feed = scenario.task if isinstance(scenario.task, FeedTask) else None
         self._feeds = feed is not None

@@ -34,8 +34,8 @@ void bind_force_maps(nb::module_& m) {
         check("tolerance", tolerance, {count, 2});
         const RequestFlags flags = request_flags(view(position), view(force), view(velocity),
                                                  view(curl), view(tolerance));
-        return nb::make_tuple(flags.sound, flags.moving, flags.curled, flags.slack, flags.within,
-                              flags.loaded);
+        return nb::make_tuple(flags.is_valid, flags.parts_move, flags.has_curl, flags.has_tolerance,
+                              flags.zero_is_enough, flags.max_force);
     });
     m.def("spline_force", [](Numbers times, Box coefficients, Table position, Table velocity) {
         check("coefficients", coefficients, {coefficients.shape(0), 6, 3});

@@ -139,7 +139,7 @@ class ForceSolver(MotionSolver):
         )
 
     def _on_average(self, request: Request) -> Solution:
-        if not request.flags.slack:
+        if not request.flags.has_tolerance:
             return self._solve(request)
         aim = easiest_force(request, self.library)
         found = self._solve(replace(request, force=aim))

@@ -48,7 +48,7 @@ def easiest_force(request: Request, library: Library) -> np.ndarray:
 
     If no force within the tolerance is feasible, the requested forces are returned.
     """
-    if not request.flags.slack:
+    if not request.flags.has_tolerance:
         return request.force
     rows = library.forces(request.position)
     requested, slack = request.force.T.ravel(), request.tolerance.T.ravel()
@@ -98,7 +98,7 @@ def largest_fraction(
         the fraction are compared. The solution with the smaller error for the whole request is
         returned.
     """
-    fits = min(1.0, limit / max(request.flags.loaded, 1e-300))
+    fits = min(1.0, limit / max(request.flags.max_force, 1e-300))
     solution = attempt(request if fits == 1 else request.times(fits))
     if solution.success and fits == 1:
         return solution
@@ -107,7 +107,7 @@ def largest_fraction(
     why = solution.message
     if fits < 1:
         why = (
-            f"the requested force on a part is {request.flags.loaded:.3g} mu m g, "
+            f"the requested force on a part is {request.flags.max_force:.3g} mu m g, "
             f"allowed: {limit:g}"
         )
     elif proven:
@@ -158,7 +158,7 @@ def _bisect(
     """
     low = fits if solution.success else 0.0
     high, best, iterations = fits, solution, solution.iterations
-    if not request.flags.moving and not request.flags.slack:
+    if not request.flags.parts_move and not request.flags.has_tolerance:
         bound = reachable_fraction(library, request.position, request.force)
         high = min(high, MAX_TRIED * limit * bound)
     peak = float(np.max(np.abs(request.force)))

@@ -14,8 +14,9 @@ constexpr double FARTHEST_M = 1e3, FASTEST_MPS = 1e3;
 
 // Compiled counterpart of `RequestFlags` in request.py.
 struct RequestFlags {
-    bool sound = true, moving = false, curled = false, slack = false, within = true;
-    double loaded = 0;
+    bool is_valid = true, parts_move = false, has_curl = false, has_tolerance = false;
+    bool zero_is_enough = true;
+    double max_force = 0;
 };
 
 // Computes the flags of a request with position, force, velocity, tolerance (M, 2) and curl (M,).
@@ -24,22 +25,22 @@ inline RequestFlags request_flags(View<const double, 2> position, View<const dou
                                   View<const double, 2> tolerance) {
     RequestFlags flags;
     for (int i = 0; i < force.size(0); i++) {
-        flags.curled |= !std::isnan(curl(i));
-        flags.sound &= !std::isinf(curl(i));
+        flags.has_curl |= !std::isnan(curl(i));
+        flags.is_valid &= !std::isinf(curl(i));
         double minimum = 0;
         for (int axis = 0; axis < 2; axis++) {
             const double requested = std::abs(force(i, axis)), free = tolerance(i, axis);
-            flags.sound &= std::abs(position(i, axis)) <= FARTHEST_M;
-            flags.sound &= std::abs(velocity(i, axis)) <= FASTEST_MPS;
-            flags.sound &= std::isfinite(requested) && free >= 0;
-            flags.moving |= velocity(i, axis) != 0;
-            flags.slack |= free != 0;
-            flags.within &= requested <= free;
+            flags.is_valid &= std::abs(position(i, axis)) <= FARTHEST_M;
+            flags.is_valid &= std::abs(velocity(i, axis)) <= FASTEST_MPS;
+            flags.is_valid &= std::isfinite(requested) && free >= 0;
+            flags.parts_move |= velocity(i, axis) != 0;
+            flags.has_tolerance |= free != 0;
+            flags.zero_is_enough &= requested <= free;
             // `minimum` is the length of the vector (|force x| - tolerance x, |force y| - tolerance
             // y), where negative components count as 0. `scaled_length` avoids an overflow.
             minimum = scaled_length(minimum, std::max(requested - free, 0.0));
         }
-        flags.loaded = std::max(flags.loaded, minimum);
+        flags.max_force = std::max(flags.max_force, minimum);
     }
     return flags;
 }

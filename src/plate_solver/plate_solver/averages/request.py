@@ -27,23 +27,26 @@ class RequestFlags(NamedTuple):
 
     Attributes
     ----------
-    sound : bool
+    is_valid : bool
         Whether all values are allowed.
-    moving, curled, slack : bool
-        `moving` states whether any part moves, `curled` whether any curl is requested, and `slack`
-        whether any force has a tolerance above 0.
-    within : bool
+    parts_move : bool
+        Whether any part moves.
+    has_curl : bool
+        Whether any curl is requested.
+    has_tolerance : bool
+        Whether any force has a tolerance above 0.
+    zero_is_enough : bool
         Whether zero force is within the tolerances of all parts.
-    loaded : float
+    max_force : float
         Requested force minus its tolerance [mu m g], maximum over all parts.
     """
 
-    sound: bool
-    moving: bool
-    curled: bool
-    slack: bool
-    within: bool
-    loaded: float
+    is_valid: bool
+    parts_move: bool
+    has_curl: bool
+    has_tolerance: bool
+    zero_is_enough: bool
+    max_force: float
 
 
 def request_flags(
@@ -104,13 +107,13 @@ class Request:
     @property
     def idle(self) -> bool:
         """Whether a plate at rest meets the request."""
-        return self.flags.within and not self.must_move
+        return self.flags.zero_is_enough and not self.must_move
 
     @property
     def must_move(self) -> bool:
         """Whether only a moving plate can meet the request. A plate at rest brakes moving parts,
         and its friction field has no curl."""
-        return self.flags.moving or self.flags.curled
+        return self.flags.parts_move or self.flags.has_curl
 
     def times(self, fraction: float) -> Request:
         """Return the request with forces and curls multiplied by a fraction."""
@@ -150,7 +153,7 @@ class Request:
         if curl.shape != (count,):
             raise PlateError(f"curl has shape {curl.shape}, allowed: ({count},)")
         request = cls(position, force, velocity, curl, tolerance)
-        if not request.flags.sound:
+        if not request.flags.is_valid:
             request._refuse()
         return request
 

@@ -124,7 +124,7 @@ class SinusoidSolver(ForceSolver, SinusoidCycles):
         return number, self.options.period or HARMONIC_S * number, False
 
     def _solve(self, request: Request) -> Solution:
-        if request.flags.curled:
+        if request.flags.has_curl:
             return self._solve_with_curl(request)
         key = self._key(request.force.size)
         motions, pool = self.search_of(request.force.size)
@@ -162,7 +162,7 @@ class SinusoidSolver(ForceSolver, SinusoidCycles):
 
     def proven_out_of_reach(self, request: Request) -> bool:
         flags = request.flags
-        if flags.moving or flags.slack or flags.curled:
+        if flags.parts_move or flags.has_tolerance or flags.has_curl:
             return False
         number = self.harmonics(request.force.size)
         return is_out_of_reach(request.position, request.force, number, self._limits.arm_m)

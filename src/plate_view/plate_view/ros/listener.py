@@ -96,7 +96,10 @@ class Listener:
         self, node: Node, rig: Rig, view: TopView, server: PageServer, namespace: str
     ) -> None:
         self._namespace = namespace
-        self._node, self._rig, self._view, self._server = node, rig, view, server
+        self._node = node
+        self._rig = rig
+        self._view = view
+        self._server = server
         self.task, self.parts = TaskStatus(), Parts()
         self.on_task: Callable[[], None] = lambda: None
         self._listening: dict[str, Any] = {}

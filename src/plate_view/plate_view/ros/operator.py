@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
@@ -82,6 +82,105 @@ class Goal:
     ended: bool = False
 
 
+@dataclass(eq=False)
+class _GoalCall:
+    """A goal that is being sent.
+
+    Attributes
+    ----------
+    operator : Operator
+    pending : PendingCommand
+        Command of the browser. It receives one reply.
+    name : str
+        Name of the action.
+    request : Goal message
+    goal : Goal
+        The sent goal.
+    before : Goal or None
+        Goal of the previous task. If the new goal is refused, this task is shown again.
+    future : Future or None
+        Call of the action server. None until the server is available.
+    end : float
+        Time at which the call fails, if the server is not available or does not reply [s].
+    replied : bool
+        Whether the browser has received its reply.
+    """
+
+    operator: Operator
+    pending: PendingCommand
+    name: str
+    request: Any
+    goal: Goal = field(init=False)
+    before: Goal | None = None
+    future: Any = None
+    end: float = 0.0
+    replied: bool = False
+
+    def __post_init__(self) -> None:
+        self.goal = Goal(goal_to_scenario(self.request).task)
+        self.end = time.monotonic() + DISCOVERY_TIMEOUT_S
+
+    def check(self) -> None:
+        """Send the goal when the server is available. If a time limit has passed, reply with the
+        reason. The operator calls this method repeatedly."""
+        operator = self.operator
+        client = operator._actions[self.name]
+        if self.future is None and client.server_is_ready():
+            # Set the goal before it is sent, because task_status reports the task before the
+            # planner accepts the goal.
+            self.before, operator._goal = operator._goal, self.goal
+            self.future = client.send_goal_async(self.request, feedback_callback=self._on_feedback)
+            self.future.add_done_callback(self._on_answer)
+            self.end = time.monotonic() + ANSWER_S
+        elif self.replied or time.monotonic() > self.end:
+            operator._caller.pollers.discard(self.check)
+            if self.replied:
+                return
+            why = "is not available" if self.future is None else "does not reply"
+            self._refuse(f"the action {self.name} {why}; check that the planner is configured")
+
+    def _reply(self, ok: bool, text: str) -> None:
+        if not self.replied:
+            self.replied = True
+            self.pending.answer(ok, text)
+
+    def _refuse(self, text: str) -> None:
+        self.goal.ended = True
+        # The new goal did not replace the previous task. Therefore show the previous task again,
+        # unless it has ended.
+        if self.operator._goal is self.goal:
+            is_running = self.before is not None and not self.before.ended
+            self.operator._goal = self.before if is_running else None
+        self._reply(False, text)
+
+    def _on_feedback(self, msg: Any) -> None:
+        self._reply(True, "it runs")
+
+    def _on_answer(self, future: Any) -> None:
+        handle = future.result()
+        if not handle.accepted:
+            self._refuse("the planner refused the goal")
+        elif self.goal.ended:  # the goal was accepted after the time limit, so cancel it
+            handle.cancel_goal_async()
+        else:
+            self.goal.handle = handle
+            handle.get_result_async().add_done_callback(self._on_result)
+
+    def _on_result(self, future: Any) -> None:
+        status = future.result().result.status
+        if status.reason in REFUSED:
+            self._refuse(status.text)
+            return
+        self._reply(status.state == TaskStatus.DONE, status.text)
+        self.goal.ended = True
+        operator = self.operator
+        if operator._goal is self.goal:
+            operator._goal = operator._waiting = None
+        waiting, operator._next = operator._next, None
+        if waiting is not None:
+            operator._send_goal(*waiting)
+
+
 class Operator:
     """Executes the commands of browsers.
 
@@ -98,7 +197,10 @@ class Operator:
     def __init__(
         self, node: Node, rig: Rig, publish: Callable[[Targets], None], expected: Scenario | None
     ) -> None:
-        self._node, self._rig, self._publish, self._expected = node, rig, publish, expected
+        self._node = node
+        self._rig = rig
+        self._publish = publish
+        self._expected = expected
         self._actions = {name: ActionClient(node, kind, name) for name, kind in ACTIONS.items()}
         self._caller = Caller(node)
         self._call = self._caller.call
@@ -310,69 +412,9 @@ class Operator:
     def _send_goal(self, pending: PendingCommand, name: str, goal: Any) -> None:
         """Send a goal. Reply when the goal is executed. If the goal is not executed, reply with the
         reason."""
-        client, end = self._actions[name], time.monotonic() + DISCOVERY_TIMEOUT_S
-        before: Goal | None = None
-        new_goal = Goal(goal_to_scenario(goal).task)
-        replied: list[bool] = []
-        sent: list[Any] = []
-
-        def reply(ok: bool, text: str) -> None:
-            if not replied:
-                replied.append(ok)
-                pending.answer(ok, text)
-
-        def refuse_goal(text: str) -> None:
-            new_goal.ended = True
-            # The new goal did not replace the previous task. Therefore show the previous task
-            # again, unless it has ended.
-            if self._goal is new_goal:
-                self._goal = None if before is None or before.ended else before
-            reply(False, text)
-
-        def on_feedback(msg: Any) -> None:
-            reply(True, "it runs")
-
-        def on_answer(future: Any) -> None:
-            handle = future.result()
-            if not handle.accepted:
-                refuse_goal("the planner refused the goal")
-            elif new_goal.ended:  # the goal was accepted after the time limit, so cancel it
-                handle.cancel_goal_async()
-            else:
-                new_goal.handle = handle
-                handle.get_result_async().add_done_callback(on_result)
-
-        def on_result(future: Any) -> None:
-            status = future.result().result.status
-            if status.reason in REFUSED:
-                refuse_goal(status.text)
-                return
-            reply(status.state == TaskStatus.DONE, status.text)
-            new_goal.ended = True
-            if self._goal is new_goal:
-                self._goal = self._waiting = None
-            waiting, self._next = self._next, None
-            if waiting is not None:
-                self._send_goal(*waiting)
-
-        def check_timeout() -> None:
-            nonlocal before, end
-            if not sent and client.server_is_ready():
-                # Set `_goal` before the goal is sent, because task_status reports the task before
-                # the planner accepts the goal.
-                before, self._goal = self._goal, new_goal
-                sent.append(client.send_goal_async(goal, feedback_callback=on_feedback))
-                sent[0].add_done_callback(on_answer)
-                end = time.monotonic() + ANSWER_S
-            elif replied or time.monotonic() > end:
-                self._caller.pollers.discard(check_timeout)
-                if replied:
-                    return
-                why = "does not reply" if sent else "is not available"
-                refuse_goal(f"the action {name} {why}; check that the planner is configured")
-
-        self._caller.poll(check_timeout)
-        check_timeout()
+        call = _GoalCall(self, pending, name, goal)
+        self._caller.poll(call.check)
+        call.check()
 
     def _cancel(self, pending: PendingCommand) -> None:
         """Cancel all running goals. A request with a zero id and a zero stamp cancels every goal

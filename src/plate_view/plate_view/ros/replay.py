@@ -92,7 +92,10 @@ class Replay:
             self.close()
             raise
         self.begin, self.end = 1e-9 * self._reader.start_time, 1e-9 * self._reader.end_time
-        self.now, self.playing, self.rate, self.problem = self.begin, False, 1.0, ""
+        self.now = self.begin
+        self.playing = False
+        self.rate = 1.0
+        self.problem = ""
         self._played_at = time.monotonic()
         latched = [
             connection
