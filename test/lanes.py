@@ -1,11 +1,12 @@
 """Assign tests to workers, so that real nodes get the processor when they need it.
 
 Most files of test/ start nodes or programs and mostly wait for them. All other files compute: those
-of the packages, in src/, and those of test/ that start neither. The front workers are the first
-half of the workers, rounded down but at least one. They run the files that wait, then the other
-files. The other workers run the files that compute, at a lower priority, so they use the time in
-which the front workers wait. When no file of its kind is left, a worker takes the others. Therefore
-all processors are busy until the end.
+of the packages, in src/, and those of test/ that start neither, or only programs in simulated time.
+The front workers are the first half of the workers, rounded down but at least one. They run the
+files that wait, then the other files. The other workers run the files that compute, at a lower
+priority, so they use the time in which the front workers wait. When no file that computes is left,
+they take the others. The last of three or more workers only computes: the real nodes of so many
+workers would be too late.
 """
 
 import os
@@ -24,13 +25,13 @@ front worker."""
 
 ROOT = Path(__file__).resolve().parents[1]
 FRONT = "test/"
-STARTS = re.compile(r"\b(subprocess|rclpy|graph|url|program|device|firmware)\b")
-"""Names of modules and fixtures in a file of test/ that starts nodes or programs."""
+STARTS = re.compile(r"\b(subprocess|rclpy|graph|url)\b")
+"""Names of modules and fixtures in a file of test/ that starts nodes, or programs in real time."""
 
 
 @cache
 def computes(name: str) -> bool:
-    """Whether the tests of a file start neither nodes nor programs."""
+    """Whether the tests of a file start neither nodes nor programs in real time."""
     return not name.startswith(FRONT) or not STARTS.search((ROOT / name).read_text("utf-8"))
 
 
@@ -39,6 +40,12 @@ def in_front(worker: Mapping[str, Any]) -> bool:
     number = int(worker["workerid"].removeprefix("gw"))  # more than there are, after a crash
     count = worker["workercount"]
     return number % count < max(1, count // 2)
+
+
+def only_computes(worker: Mapping[str, Any]) -> bool:
+    """Whether a worker never runs files that wait."""
+    count = worker["workercount"]
+    return count > 2 and int(worker["workerid"].removeprefix("gw")) % count == count - 1
 
 
 def give_way(worker: Mapping[str, Any]) -> None:
@@ -55,9 +62,12 @@ class Lanes(LoadFileScheduling):
         """Return the file that a worker should run next, or None."""
         front = in_front(node.workerinput)
         own = (name for name in self.workqueue if computes(name) != front)
-        return next(own, next(iter(self.workqueue), None))
+        others = () if only_computes(node.workerinput) else self.workqueue
+        return next(own, next(iter(others), None))
 
     def _assign_work_unit(self, node: WorkerController) -> None:
         if name := self._next(node):
             self.workqueue.move_to_end(name, last=False)
             super()._assign_work_unit(node)
+        else:
+            node.shutdown()

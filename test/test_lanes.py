@@ -81,12 +81,21 @@ def test_tests_of_real_nodes_give_way_only_when_nothing_else_is_left():
     nodes = [f"test/{n}.py::test" for n in range(9)]
     tests = [*nodes, "src/a.py::test", "src/c.py::test"]
     found, workers = started(tests, 4)
-    first, second, *behind = run(found, workers, tests)
-    assert all(name.startswith("test/") for name in first + second)
-    assert [names[0] for names in behind] == ["src/a.py", "src/c.py"]
-    assert all(name.startswith("test/") for names in behind for name in names[1:])
-    assert sum(map(len, (first, second, *behind))) == len(tests)
-    assert min(map(len, behind)) > 1
+    first, second, behind, last = run(found, workers, tests)
+    assert all(name.startswith("test/") for name in first + second + behind[1:])
+    assert (behind[0], last) == ("src/a.py", ["src/c.py"])
+    assert sum(map(len, (first, second, behind, last))) == len(tests)
+    assert len(behind) > 1
+    assert all(worker.shutting_down for worker in workers)
+    assert found.tests_finished
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4])
+@pytest.mark.parametrize("file", ["src/a.py", "test/b.py"])
+def test_files_of_one_kind_are_all_run(file, count):
+    tests = [f"{file}::test_{n}" for n in range(5)] + [f"{file}::Group::test"]
+    found, workers = started(tests, count)
+    assert [name for names in run(found, workers, tests) for name in names] == [file] * 6
     assert all(worker.shutting_down for worker in workers)
     assert found.tests_finished
 
