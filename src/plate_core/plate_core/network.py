@@ -27,6 +27,9 @@ OWN, NETWORK = "fastdds.xml", "fastdds_network.xml"
 MEMORY = "/dev/shm"
 """Folder of shared memory, through which programs on the same machine exchange images."""
 
+MEMORY_BYTES = 2**20
+"""Minimum free size of this folder [bytes]."""
+
 LAST_DOMAIN = 232
 """Highest ROS domain. Higher domain numbers would give invalid UDP ports."""
 
@@ -65,10 +68,18 @@ def choose_network(environ: MutableMapping[str, str]) -> str:
 
 def memory_problem(folder: str | Path = MEMORY) -> str:
     """Return a warning if this process cannot create shared memory in the folder, otherwise an
-    empty text. Without shared memory, Fast DDS sends images over UDP, which loses many of them."""
-    fast_dds = "fastrtps" in os.environ.get("RMW_IMPLEMENTATION", "fastrtps")
-    if not fast_dds or os.access(folder, os.W_OK | os.X_OK):
+    empty text. Without shared memory, Fast DDS sends images over UDP, which loses many of them. If
+    the folder is full, the system ends the process."""
+    if "fastrtps" not in os.environ.get("RMW_IMPLEMENTATION", "fastrtps"):
         return ""
+    if os.access(folder, os.W_OK | os.X_OK):
+        status = os.statvfs(folder)
+        if status.f_bavail * status.f_frsize >= MEMORY_BYTES:
+            return ""
+        return (
+            f"{folder} is full, allowed: at least {MEMORY_BYTES // 2**20} MB free. ROS programs "
+            "lose images or end with 'Bus error'; remove files of ended programs from the folder"
+        )
     return (
         f"{folder} cannot be written, allowed: a folder in memory that this user can write "
         f"(mount -t tmpfs none {folder}). Without it, images are sent over UDP, and many are lost"

@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -42,6 +43,15 @@ def test_missing_shared_memory_is_reported(tmp_path):
     assert memory_problem(tmp_path) == ""
     missing = tmp_path / "shm"
     assert memory_problem(missing).startswith(f"{missing} cannot be written, allowed: a folder")
+
+
+def test_full_shared_memory_is_reported(tmp_path, monkeypatch):
+    """A program that writes into it ends without a message."""
+    for free, problem in ((2**20, ""), (2**20 - 1, f"{tmp_path} is full, allowed: at least 1 MB")):
+        status = SimpleNamespace(f_bavail=free, f_frsize=1)
+        monkeypatch.setattr("os.statvfs", lambda _, status=status: status)
+        assert memory_problem(tmp_path).startswith(problem)
+        assert bool(memory_problem(tmp_path)) == bool(problem)
 
 
 FOREIGN = """<profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
