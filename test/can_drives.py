@@ -366,7 +366,7 @@ class CanBench:
     network: Any = None
     sent: list[tuple[int, int, bytes]] = field(default_factory=list)  # [ms], id, data
     both: list[tuple[int, int, bytes]] = field(default_factory=list)  # in both directions
-    said: bytes = b""
+    written: bytes = b""
     state: int = 0
     faults: int = 0
     stop: int = 0
@@ -416,7 +416,7 @@ class CanBench:
                             dlc=8 if identifier > 0x7FF else len(data),
                         ))  # fmt: skip
                 elif kind == "tx":
-                    self.said += bytes.fromhex(words[0])
+                    self.written += bytes.fromhex(words[0])
                 elif kind == "state":
                     self.state, self.faults = int(words[0]), int(words[1])
                     self.stop = int(words[3])

@@ -45,7 +45,7 @@ class Bus:
         while (message := self.bus.recv(0)) is not None:
             for drive in self.drives:
                 if message.arbitration_id >> 5 == drive.node and not drive.off:
-                    drive.heard(message)
+                    drive.receive(message)
 
 
 class ODrive:
@@ -98,7 +98,7 @@ class ODrive:
         data = message.encode(values)
         self.network.send_message(self.node << 5 | number, data)
 
-    def heard(self, frame: can.Message) -> None:
+    def receive(self, frame: can.Message) -> None:
         self.fed = self.network.now
         message = self.dbc[frame.arbitration_id & 31]
         name = message.name.removeprefix("Axis0_")

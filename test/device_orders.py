@@ -55,7 +55,7 @@ class Run:
 
     times: np.ndarray
     setpoints: np.ndarray
-    said: list[Packet]
+    packets: list[Packet]
     sent: bytes
     state: State
     faults: Fault
@@ -65,13 +65,13 @@ class Run:
     line: list[tuple[int, bool]]  # changes of the camera's line: time [us], value
 
     def answers(self) -> dict[int, Status]:
-        found = [p.message for p in self.said if isinstance(p.message, Acknowledgement)]
+        found = [p.message for p in self.packets if isinstance(p.message, Acknowledgement)]
         return {m.sequence: m.status for m in found}
 
 
 def run(device: Callable[..., str], *orders: bytes | float | str) -> Run:
     """Run the device with orders: bytes to receive, durations [s], or lines of its input."""
-    return heard(device(ordered(*orders)))
+    return parse_run(device(ordered(*orders)))
 
 
 def assert_bounded(done: Run) -> None:
@@ -99,7 +99,7 @@ def ordered(*orders: bytes | float | str) -> str:
     return "\n".join([*lines, "run 1000", ""])
 
 
-def heard(stdout: str) -> Run:
+def parse_run(stdout: str) -> Run:
     """Parse the output of a device."""
     output = [line.split() for line in stdout.splitlines()]
     ticks = [line for line in output if line[0] == "at"]
@@ -321,5 +321,5 @@ def playing(bench, plate, size=0.004):
 
 
 def said_by(bench, kind):
-    packets = Reader().fed(bench.said)[1]
+    packets = Reader().fed(bench.written)[1]
     return [m for m in (parse(p).message for p in packets) if isinstance(m, kind)]

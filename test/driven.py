@@ -77,7 +77,7 @@ class Driven:
     def __init__(self, monkeypatch, *parameters, start=True):
         self.clock = Clock()
         self.log = Log()
-        self.said = defaultdict(list)
+        self.published = defaultdict(list)
         self._ticks = 0
         for module in (
             "plate_core.ros.diagnostics", "plate_driver.node", "plate_driver.safety.node",
@@ -88,11 +88,11 @@ class Driven:
         monkeypatch.setattr(TransportThread, "start", lambda _: None)  # `pass_time` polls
         publish = Publisher.publish
 
-        def heard(publisher, msg):
-            self.said[publisher.topic_name.rsplit("/", 1)[1]].append(msg)
+        def record_and_publish(publisher, msg):
+            self.published[publisher.topic_name.rsplit("/", 1)[1]].append(msg)
             publish(publisher, msg)
 
-        monkeypatch.setattr(Publisher, "publish", heard)
+        monkeypatch.setattr(Publisher, "publish", record_and_publish)
         words = ["--ros-args", "-r", "__ns:=/driven"]
         rclpy.init(args=words + [word for each in parameters for word in ("-p", each)])
         self.node = DriverNode()
@@ -150,7 +150,7 @@ class Driven:
 
     @property
     def setpoints(self):
-        return self.said["motor_setpoints"]
+        return self.published["motor_setpoints"]
 
     def stamps(self):
         return [nanoseconds(msg.header.stamp) for msg in self.setpoints]
@@ -159,18 +159,20 @@ class Driven:
     def texts(self):
         """Texts of driver_status, without repetitions."""
         texts = []
-        for text in [msg.text for msg in self.said["driver_status"]]:
+        for text in [msg.text for msg in self.published["driver_status"]]:
             texts += [text] if texts[-1:] != [text] else []
         return texts
 
     @property
     def report(self):
         """The last diagnostics."""
-        return self.said["diagnostics"][-1].status[0]
+        return self.published["diagnostics"][-1].status[0]
 
     def values(self):
         """Return the values of each diagnostics message, by name."""
-        return [{v.key: v.value for v in msg.status[0].values} for msg in self.said["diagnostics"]]
+        return [
+            {v.key: v.value for v in msg.status[0].values} for msg in self.published["diagnostics"]
+        ]
 
     def close(self):
         self.node.destroy_node()

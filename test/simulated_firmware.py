@@ -182,7 +182,7 @@ class SimulatedFirmware:
         assert self.process.stdin is not None
         self.process.stdin.write(line + "\n")
 
-    def said(self, since: float = 0.0) -> list[Message]:
+    def messages(self, since: float = 0.0) -> list[Message]:
         """Return the messages that the host has written, before any fault of the line."""
         data = b"".join(data for at, data in self.wire if at >= since)
         return [parse(packet).message for packet in Reader().fed(data)[1]]

@@ -534,7 +534,7 @@ def test_each_object_that_a_drive_refuses_is_named(bench):
     for each in bench.drives[:3]:
         each.deaf = True
     for number, sub in sorted(objects):
-        drive.refuses, bench.said = (number, sub), b""
+        drive.refuses, bench.written = (number, sub), b""
         bench.order("reset")
         bench.run(100)
         reported = said_by(bench, DriveTrouble)[-1]
@@ -697,8 +697,8 @@ class Port:
         self.bench, self.read_bytes = bench, 0
 
     def read(self, size):
-        start, self.read_bytes = self.read_bytes, len(self.bench.said)
-        return self.bench.said[start:]
+        start, self.read_bytes = self.read_bytes, len(self.bench.written)
+        return self.bench.written[start:]
 
     def write(self, data):
         tell(self.bench, data)

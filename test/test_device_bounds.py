@@ -19,8 +19,8 @@ from device_orders import (
     UPLOAD_S,
     alive,
     assert_bounded,
-    heard,
     ordered,
+    parse_run,
     run,
     say,
     upload,
@@ -125,10 +125,10 @@ def test_ten_thousand_hostile_packets(device):
     assert_bounded(done)
     assert np.max(np.abs(done.setpoints[:, 0])) > 0.8 * STROKE_M  # it moved meanwhile
     assert len(done.times) > 800 * trials
-    statuses = {p.message.status for p in done.said if isinstance(p.message, Acknowledgement)}
+    statuses = {p.message.status for p in done.packets if isinstance(p.message, Acknowledgement)}
     assert statuses >= set(Status) - {Status.NO_SESSION}
     assert Fault.LIMIT not in {
-        p.message.faults for p in done.said if isinstance(p.message, Telemetry)
+        p.message.faults for p in done.packets if isinstance(p.message, Telemetry)
     }
 
 
@@ -200,7 +200,7 @@ def test_a_jammed_plate_is_a_fault(device):
     assert np.all(miss[-3:] > 0.003)
     runs = np.convolve(miss[:-1] > 0.003, np.ones(3), "valid")
     assert not np.any(runs == 3)
-    reported = max(p.message.following_m for p in done.said if isinstance(p.message, Telemetry))
+    reported = max(p.message.following_m for p in done.packets if isinstance(p.message, Telemetry))
     assert 0.003 < reported < STROKE_M
 
 
@@ -212,7 +212,7 @@ def test_a_small_or_short_following_error_is_reported_and_is_no_fault(device):
     small = [*READY, upload(1, wave(0.0014), 110), UPLOAD_S, "jam 1", *alive(0.1)]
     done = run(device, *small)
     assert (done.state, done.faults) == (State.PLAYING, Fault.NONE)
-    reported = [p.message.following_m for p in done.said if isinstance(p.message, Telemetry)]
+    reported = [p.message.following_m for p in done.packets if isinstance(p.message, Telemetry)]
     assert 0.001 < max(reported) < 0.003
     assert reported[1] == 0
     # Beyond it for one tick or two, again and again
@@ -221,7 +221,7 @@ def test_a_small_or_short_following_error_is_reported_and_is_no_fault(device):
         short += ["jam 1", 0.006, "jam 0", 0.001, say(1, Heartbeat(1))]
     done = run(device, *short)
     assert (done.state, done.faults) == (State.PLAYING, Fault.NONE)
-    reported = [p.message.following_m for p in done.said if isinstance(p.message, Telemetry)]
+    reported = [p.message.following_m for p in done.packets if isinstance(p.message, Telemetry)]
     assert max(reported) > 0.003
 
 
@@ -233,9 +233,9 @@ def test_the_motion_home_is_monitored_too(device):
 
 def test_following_is_not_watched_where_the_rig_gives_no_limit(device):
     orders = ordered(*PLAYING, "jam 1", *alive(0.2))
-    done = heard(device(orders, "60", "100", "200", "0"))
+    done = parse_run(device(orders, "60", "100", "200", "0"))
     assert (done.state, done.faults) == (State.PLAYING, Fault.NONE)
-    reported = max(p.message.following_m for p in done.said if isinstance(p.message, Telemetry))
+    reported = max(p.message.following_m for p in done.packets if isinstance(p.message, Telemetry))
     assert reported > 0.005
 
 
@@ -256,7 +256,7 @@ def test_a_plate_that_is_where_it_cannot_be_is_not_moved(device, place):
     assert not len(done.setpoints)
     assert (done.state, done.faults, done.stop) == (State.OFF, Fault.LIMIT, BOOT + 1)
     # Whatever the sensors report, telemetry can be read, and shows that the motors are off.
-    reported = [p.message for p in done.said if isinstance(p.message, Telemetry)]
+    reported = [p.message for p in done.packets if isinstance(p.message, Telemetry)]
     assert (reported[-1].state, reported[-1].faults) == (State.OFF, Fault.LIMIT)
 
 
@@ -297,12 +297,12 @@ def test_a_tick_reads_and_obeys_no_more_than_it_may(device):
     """128 bytes and four packets; the rest is read in the following ticks."""
     beats = b"".join(say(k, Heartbeat(k)) for k in range(1, 101))  # 18 bytes and less each
     done = run(device, HELLO, beats, 0.1)
-    pulses = [p.message for p in done.said if isinstance(p.message, Pulse)]
+    pulses = [p.message for p in done.packets if isinstance(p.message, Pulse)]
     assert [m.host_ns for m in pulses] == list(range(1, 101))
     at_once = np.unique([m.device_us for m in pulses], return_counts=True)[1]
     assert max(at_once) == 4
     assert len(at_once) == 25
     padding = bytes(127) + say(1, Heartbeat(1))
     done = run(device, HELLO, padding)
-    [pulse] = [p.message for p in done.said if isinstance(p.message, Pulse)]
+    [pulse] = [p.message for p in done.packets if isinstance(p.message, Pulse)]
     assert pulse.device_us == 3_000  # HELLO is read in the first tick

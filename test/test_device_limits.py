@@ -12,8 +12,8 @@ from device_orders import (
     READY,
     alive,
     assert_bounded,
-    heard,
     ordered,
+    parse_run,
     running,
     say,
     simulated,
@@ -60,7 +60,7 @@ def swing(
 
 def answer(device, knots: tuple[Knot, ...]) -> Status:
     orders = ordered(*READY, upload(1, knots, 110), *alive(0.1))
-    done = heard(device(orders, "60", "60"))  # motors that bear 60 N continuously
+    done = parse_run(device(orders, "60", "60"))  # motors that bear 60 N continuously
     return done.answers()[110 + 1 + -(-len(knots) // 4)]
 
 
@@ -82,15 +82,15 @@ def test_peak_force_is_looked_at(device):
     # Motors 3 and 4: 0.15 * 2 * 40 - or + (0.8 + 0.2) * 40 N, 52 N at most
     orders = ordered(*READY, upload(1, swing(40, 0.02, (1.0, -1.0, 1.0, 1.0)), 110), 0.1)
     for limit, status in (("52.5", Status.DONE), ("51.5", Status.LIMIT)):
-        assert heard(device(orders, "60", "60", limit)).answers()[110 + 1 + 11] is status
+        assert parse_run(device(orders, "60", "60", limit)).answers()[110 + 1 + 11] is status
 
 
 def test_heat_builds_up_and_brakes(device):
     orders = ordered(*READY, upload(1, swing(84.0, 0.045, LIFT), 110), *alive(0.8))
-    assert heard(device(orders, "60", "60")).faults is Fault.NONE  # a minute to warm up
-    done = heard(device(orders, "0.02", "60"))  # quicker than the table
+    assert parse_run(device(orders, "60", "60")).faults is Fault.NONE  # a minute to warm up
+    done = parse_run(device(orders, "0.02", "60"))  # quicker than the table
     assert (done.state, done.faults) == (State.OFF, Fault.HEAT)
-    heats = [p.message.heat for p in done.said if isinstance(p.message, Telemetry)]
+    heats = [p.message.heat for p in done.packets if isinstance(p.message, Telemetry)]
     assert max(heats) > 0.8
     assert heats[-1] < 0.1
 
@@ -195,9 +195,9 @@ def test_the_simulator_keeps_the_limits_for_all_requests(program):
         heat = ["0.05", "20"] if trial % 5 == 0 else []
         printed = firmware(orders, *heat)
         assert simulated(orders, *heat) == printed
-        done = heard(printed)
+        done = parse_run(printed)
         assert_bounded(done)
-        reported = [p.message for p in done.said if isinstance(p.message, Telemetry)]
+        reported = [p.message for p in done.packets if isinstance(p.message, Telemetry)]
         states |= {m.state for m in reported}
         for m in reported:
             faults |= m.faults
@@ -231,7 +231,7 @@ def test_tables_near_the_limit_are_taken_and_those_beyond_refused(device):
         beyond = trial % 3 == 0
         near = 10 ** rng.uniform(-6, -4)
         frames = uploaded(1, scaled(knots, 100.2 * (1 + near if beyond else 1 - near)), 110, 2)
-        done = heard(device(ordered(*READY, b"".join(frames), 0.1)))
+        done = parse_run(device(ordered(*READY, b"".join(frames), 0.1)))
         status = done.answers()[110 + len(frames) - 1]
         assert status is (Status.LIMIT if beyond else Status.DONE)
         seen.add(status)
@@ -242,7 +242,7 @@ def test_a_piece_that_is_hard_to_decide_is_refused(device):
     """Of all motors, and so close to the limit that 64 halvings do not decide."""
     knots = scaled(swing(100.2, 0.05, (1.0, 1.0, 1.0, 1.0), 3), 100.2 * (1 - 1e-7))
     text = ordered(*READY, upload(1, knots, 110, 2), 0.1)
-    assert heard(device(text, "60", "100", "100")).answers()[112] is Status.LIMIT
+    assert parse_run(device(text, "60", "100", "100")).answers()[112] is Status.LIMIT
 
 
 def test_heat_is_followed_in_single_precision(device):
@@ -250,8 +250,8 @@ def test_heat_is_followed_in_single_precision(device):
     error of the sum. By theory the heat of a mean square S of force is S (1 - exp(-t/T))."""
     knots = swing(84.0, 0.045, LIFT)
     orders = [HELLO, ENABLE, *HOMEWARD, upload(1, knots, 110, 200), *alive(8.0)]
-    done = heard(device(ordered(*orders), "60", "60"))
-    playing = [m for p in done.said if isinstance(m := p.message, Telemetry) and m.table]
+    done = parse_run(device(ordered(*orders), "60", "60"))
+    playing = [m for p in done.packets if isinstance(m := p.message, Telemetry) and m.table]
     accel = done.setpoints[:, 2, 2]  # 1 N for each m/s2
     begin = done.times[np.flatnonzero(accel)[0]]
     looked = 0

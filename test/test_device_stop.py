@@ -96,7 +96,7 @@ def test_a_stop_is_not_undone(device, way):
     assert tried.state is State.OFF
     # Current was switched on once, by the one Enable that was right, and off once.
     assert [on for _, on in tried.switched] == [True, False]
-    reported = [p.message for p in tried.said if isinstance(p.message, Telemetry)]
+    reported = [p.message for p in tried.packets if isinstance(p.message, Telemetry)]
     assert reported[-1].stop == tried.stop
     assert reported[-1].state is State.OFF
 

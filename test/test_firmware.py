@@ -66,7 +66,7 @@ def test_bytes_are_those_of_the_examples(device):
     assert run(device, host, host[:-1] + b"\xff\0", 0.02).refused == 1
     done = run(device, host, 0.02)
     assert done.refused == 0
-    [reported] = [p.message for p in done.said if isinstance(p.message, Capabilities)]
+    [reported] = [p.message for p in done.packets if isinstance(p.message, Capabilities)]
     limits = (float(np.float32(0.01)), 1.0, 100.0, 200.0, 100.0, float(np.float32(0.003)))
     assert reported == Capabilities(VERSION, 0x12345678, 0xCAFE, 4, 512, 8, 250, *limits, 10_000)
     assert done.answers() == {
@@ -75,11 +75,11 @@ def test_bytes_are_those_of_the_examples(device):
         259: Status.DONE,
     }  # fmt: skip
     assert done.stop == 0xCAFE + 2
-    [pulse] = [p.message for p in done.said if isinstance(p.message, Pulse)]
+    [pulse] = [p.message for p in done.packets if isinstance(p.message, Pulse)]
     assert pulse == Pulse(1_500_000_000, 1_000)
     # It sends exactly the bytes of the Python codec.
-    assert done.sent == b"".join(frame(pack(packet)) for packet in done.said)
-    assert [p.sequence for p in done.said] == list(range(len(done.said)))
+    assert done.sent == b"".join(frame(pack(packet)) for packet in done.packets)
+    assert [p.sequence for p in done.packets] == list(range(len(done.packets)))
 
 
 def test_table_is_played_and_taken_over_at_the_boundary(device):
@@ -97,7 +97,7 @@ def test_table_is_played_and_taken_over_at_the_boundary(device):
         for order, tolerance in ((0, 1e-8), (1, 1e-5), (2, 1e-2)):
             expected = spline(knots)(t, nu=order)
             np.testing.assert_allclose(done.setpoints[part, order], expected, atol=tolerance)
-    reported = [p.message for p in done.said if isinstance(p.message, Telemetry)]
+    reported = [p.message for p in done.packets if isinstance(p.message, Telemetry)]
     assert {m.table for m in reported} == {0, 1, 2}
     assert {m.waiting for m in reported} == {0, 2}
     assert max(abs(np.diff([m.device_us for m in reported]) - 10_000)) == 0
@@ -113,7 +113,7 @@ def test_a_waiting_table_is_replaced_when_a_newer_table_is_complete(device, whol
     last = b"".join(frames if whole else frames[:-1])
     orders = [*READY, upload(1, GENTLE, 110, 9), 0.13, upload(2, wave(0.002, phase=1.0), 210)]
     done = run(device, *orders, UPLOAD_S, last, *alive(0.2))
-    reported = [p.message for p in done.said if isinstance(p.message, Telemetry)]
+    reported = [p.message for p in done.packets if isinstance(p.message, Telemetry)]
     assert {m.table for m in reported} == ({0, 1, 3} if whole else {0, 1, 2})
     assert {m.waiting for m in reported} == ({0, 2, 3} if whole else {0, 2})
 
@@ -168,11 +168,13 @@ def test_brakes_within_a_cycle_and_goes_home(device, cause):
     assert done.stop == BOOT + 1
     assert_smooth(done)
     np.testing.assert_allclose(done.setpoints[-1, 0], 0, atol=1e-5)
-    states = [p.message for p in done.said if isinstance(p.message, Telemetry)]
+    states = [p.message for p in done.packets if isinstance(p.message, Telemetry)]
     braking = [m.device_us * 1e-6 for m in states if m.state is State.BRAKING and m.table]
     assert 0.079 <= braking[-1] - braking[0] <= PERIOD_S
     if cause == "silence":
-        received = [p.message.device_us * 1e-6 for p in done.said if isinstance(p.message, Pulse)]
+        received = [
+            p.message.device_us * 1e-6 for p in done.packets if isinstance(p.message, Pulse)
+        ]
         assert 0 < braking[0] - received[-1] - SILENCE_S <= 0.012
     after = [m for m in states if m.device_us * 1e-6 > braking[-1] + 0.02]
     assert {m.table for m in after} == {0}
@@ -185,7 +187,7 @@ def test_brakes_within_a_cycle_and_goes_home(device, cause):
 def test_stop_now_takes_the_current_away(device):
     done = run(device, *READY, upload(1, GENTLE, 110), 0.033, say(300, Stop(1)), 0.1)
     assert (done.state, done.faults) == (State.OFF, Fault.STOPPED)
-    last = max(p.message.device_us for p in done.said if isinstance(p.message, Telemetry))
+    last = max(p.message.device_us for p in done.packets if isinstance(p.message, Telemetry))
     assert done.times[-1] < last * 1e-6 - 0.09
 
 
@@ -229,7 +231,7 @@ def test_a_search_for_home_has_an_end(device):
 
 def test_telemetry_contains_the_load(device):
     done = run(device, "load 0.125", HELLO, 0.02)
-    assert {p.message.load for p in done.said if isinstance(p.message, Telemetry)} == {0.125}
+    assert {p.message.load for p in done.packets if isinstance(p.message, Telemetry)} == {0.125}
 
 
 def moved(position: float = 0.0, velocity: float = 0.0) -> tuple[Knot, ...]:
@@ -293,7 +295,7 @@ def test_a_commit_that_waits_for_its_answer_is_answered_once(device):
     orders = [*READY, b"".join(frames[:1] + frames[2:-1]), *alive(0.3)]
     last = b"".join([frames[1], commit])  # the second knot is the last one to come
     done = run(device, *orders, last, commit, commit, 0.2)
-    about = [p.message for p in done.said if isinstance(p.message, Acknowledgement)]
+    about = [p.message for p in done.packets if isinstance(p.message, Acknowledgement)]
     assert [m.status for m in about if m.sequence == number] == [Status.DONE]
     # A command that comes before the answer is done, and the commit is old.
     done = run(device, *orders, last, say(500, Home()), 0.2)
@@ -352,4 +354,4 @@ def test_fuzz(device):
     assert np.max(np.abs(done.setpoints[:, 1])) <= SPEED
     assert np.max(np.abs(done.setpoints[:, 0])) > 0.8 * STROKE_M
     assert done.refused > 100  # since the last reset
-    assert sum(isinstance(p.message, Acknowledgement) for p in done.said) > 300
+    assert sum(isinstance(p.message, Acknowledgement) for p in done.packets) > 300

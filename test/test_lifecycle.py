@@ -44,14 +44,14 @@ class Managed:
         self.node = getattr(module, kind)()
         self.ear, self.executor = rclpy.create_node("ear"), SteppedExecutor(clock)
         self.until, self.spin_for = self.executor.until, self.executor.spin_for
-        self.said = []
+        self.messages = []
         topic = f"/lifecycle_{name}/diagnostics"
         self.ear.create_subscription(DiagnosticArray, topic, self._on_report, DATA)
         for each in (self.node, self.ear):
             self.executor.add_node(each)
 
     def _on_report(self, msg):
-        self.said += [status.message for status in msg.status]
+        self.messages += [status.message for status in msg.status]
 
     def trigger(self, transition):
         return getattr(self.node, f"trigger_{transition}")()
@@ -86,7 +86,7 @@ def test_every_transition_twice(name, tmp_path, monkeypatch):
             assert managed.trigger("cleanup") == SUCCESS
             managed.spin_for(0.2)
             assert managed.entities == empty
-        managed.until(lambda: managed.said[-1].startswith("unconfigured"))
+        managed.until(lambda: managed.messages[-1].startswith("unconfigured"))
         assert managed.trigger("configure") == SUCCESS
         assert managed.trigger("activate") == SUCCESS
         assert managed.trigger("shutdown") == SUCCESS
@@ -110,8 +110,8 @@ def test_a_bad_rig_file_is_refused_and_read_again_when_it_is_mended(name, tmp_pa
             assert managed.entities == empty
             why = str(managed.node.failure)
             assert "rig.yaml: no such file" in why if text is None else "lenght_m" in why
-            managed.said.clear()
-            managed.until(lambda w=why: any(w in text for text in managed.said))
+            managed.messages.clear()
+            managed.until(lambda w=why: any(w in text for text in managed.messages))
         assert managed.trigger("configure") == SUCCESS
         assert managed.trigger("activate") == SUCCESS
         (result,) = managed.node.set_parameters([Parameter("rig_file", value="")])

@@ -77,7 +77,7 @@ def test_tables_arrive_and_are_played_as_often_as_requested(firmware):
     assert firmware.states[-1] is State.READY
     moving = [row[0] for row in firmware.setpoints if row[0] > began and any(row[1:5])]
     plays = (moving[-1] - began) / PERIOD
-    commits = [m for m in firmware.said() if isinstance(m, Commit)]
+    commits = [m for m in firmware.messages() if isinstance(m, Commit)]
     assert [m.repeats for m in commits] == [20, 8]
     assert abs(plays - round(plays)) < 0.02
     transport.send(first, 3)
@@ -93,7 +93,7 @@ def test_a_table_is_not_played_longer_than_the_device_allows(firmware):
     transport = enabled(firmware)
     transport.send(shaking(0.0005), 1000)
     pass_time(firmware, transport, 0.3)
-    assert [m.repeats for m in firmware.said() if isinstance(m, Commit)] == [100]  # 10 s
+    assert [m.repeats for m in firmware.messages() if isinstance(m, Commit)] == [100]  # 10 s
     assert transport.troubles() == []
     assert firmware.states[-1] is State.PLAYING
 
@@ -132,7 +132,7 @@ def test_bad_lines(firmware, damage, loss, delay, min_tables):
     assert len(tables) >= min_tables, (tables, transport.troubles())
     assert transport.troubles() == []
     assert firmware.current
-    assert [type(m) for m in firmware.said()].count(Hello) < 20
+    assert [type(m) for m in firmware.messages()].count(Hello) < 20
     if damage or loss:
         assert transport.retries > 0
         assert transport.refused > 0
@@ -149,7 +149,7 @@ def test_no_table_is_sent_to_motors_that_are_off(firmware):
     with pytest.raises(CycleError, match="the device is off, allowed: ready"):
         transport.send(shaking(0.002), REPEATS)
     pass_time(firmware, transport, 1.0)
-    kinds = {type(m).__name__ for m in firmware.said()}
+    kinds = {type(m).__name__ for m in firmware.messages()}
     assert kinds == {"Hello", "Heartbeat"}
     assert not firmware.current
     assert firmware.setpoints == []
@@ -160,7 +160,7 @@ def test_no_table_is_sent_to_motors_that_are_off(firmware):
 
 def quiet_since(firmware: SimulatedFirmware, since: float) -> None:
     """No Enable on the line since then, and no current now."""
-    assert not [m for m in firmware.said(since) if isinstance(m, Enable)]
+    assert not [m for m in firmware.messages(since) if isinstance(m, Enable)]
     assert not firmware.current
     assert firmware.states[-1] is State.OFF
     firmware.check_limits()
@@ -171,7 +171,7 @@ def goes_on(firmware: SimulatedFirmware, transport: SerialTransport) -> None:
     since, stop = firmware.now, firmware.stop
     order = settled(firmware, transport, transport.enable())
     assert order.done, order.failure
-    assert {m for m in firmware.said(since) if isinstance(m, Enable)} == {Enable(stop)}
+    assert {m for m in firmware.messages(since) if isinstance(m, Enable)} == {Enable(stop)}
     assert play(firmware, transport, 0.5)
 
 
@@ -369,7 +369,7 @@ def test_an_unacknowledged_stop_is_not_reported_as_done_and_arrives_later(firmwa
     firmware.loss = 0.0
     pass_time(firmware, transport, 2.0)
     assert order.done
-    assert Stop(1) in firmware.said()
+    assert Stop(1) in firmware.messages()
     assert not firmware.current
 
 
@@ -384,9 +384,9 @@ def test_a_stop_goes_before_all_that_waits(firmware):
     firmware.tick()
     since = firmware.now
     transport.stop()
-    assert isinstance(firmware.said(since)[0], Stop)
+    assert isinstance(firmware.messages(since)[0], Stop)
     pass_time(firmware, transport, 1.5)
-    assert not [m for m in firmware.said(since) if isinstance(m, Commit)]
+    assert not [m for m in firmware.messages(since) if isinstance(m, Commit)]
 
 
 def test_close_stops_the_plate(firmware):

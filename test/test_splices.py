@@ -18,8 +18,8 @@ from device_orders import (
     Run,
     Simulated,
     alive,
-    heard,
     ordered,
+    parse_run,
     run,
     running,
     say,
@@ -115,7 +115,7 @@ def sent(tables: list[Spliced], first: int = 110) -> tuple[list[bytes], list[int
 
 
 def telemetry_of(done: Run) -> list[Telemetry]:
-    return [p.message for p in done.said if isinstance(p.message, Telemetry)]
+    return [p.message for p in done.packets if isinstance(p.message, Telemetry)]
 
 
 def table_starts(done: Run) -> dict[int, int]:
@@ -268,7 +268,7 @@ def test_motors_bear_the_cycle_alone_and_all_of_it(device, part, share):
     data, [commit] = sent([Spliced(knots, 5_000_000)])
     for room, status in ((0.99, Status.LIMIT), (1.01, Status.DONE)):
         bears = f"{room * mean * share**0.5}"
-        done = heard(device(ordered(*READY, data[0], 0.05), "60", bears))
+        done = parse_run(device(ordered(*READY, data[0], 0.05), "60", bears))
         assert done.answers()[commit] is status
 
 
@@ -472,7 +472,7 @@ def test_the_plate_never_jumps_with_random_orders(program):
         story.obey(1.2)  # the host is dead
         printed = firmware("\n".join([*story.orders, ""]))
         assert printed == "\n".join([*story.simulated.lines, ""])
-        done = heard(printed)
+        done = parse_run(printed)
         seen += checked(story, done)
         assert done.state is State.OFF
     expected = [

@@ -10,8 +10,8 @@ from device_orders import (
     SPEED,
     STROKE_M,
     assert_bounded,
-    heard,
     ordered,
+    parse_run,
     run,
     running,
     say,
@@ -100,7 +100,7 @@ def test_a_stream_that_stops_brakes_on_the_path_that_is_left(device):
     steps = np.diff(done.setpoints[:, 0], axis=0)
     assert np.max(np.abs(steps)) < 1.01 * SPEED * 1e-3  # nothing jumps
     assert np.max(np.abs(done.setpoints[-1, 0])) < 1e-6  # at home
-    reported = [p.message.table for p in done.said if isinstance(p.message, Telemetry)]
+    reported = [p.message.table for p in done.packets if isinstance(p.message, Telemetry)]
     assert reported[-1] == 0
 
 
@@ -157,7 +157,9 @@ def test_repeated_and_missing_messages(device):
     parts = [say(200 + i, Knots(1, 4 * i, knots[4 * i : 4 * i + 4])) for i in range(30)]
     orders = [say(110, Begin(1, 0, 0)), parts[0], parts[0], parts[2], parts[1], parts[2]]
     done = run(device, *READY, *orders, *parts[3:20], say(111, Commit(1, 1)), 0.05)
-    reported = [p.message for p in done.said if p.message.__class__.__name__ == "Acknowledgement"]
+    reported = [
+        p.message for p in done.packets if p.message.__class__.__name__ == "Acknowledgement"
+    ]
     about = [m.status for m in reported if m.sequence == 202]
     assert about == [Status.INCOMPLETE, Status.DONE]
     assert done.answers()[111] is Status.DONE
@@ -176,7 +178,7 @@ def test_streams_with_gaps_keep_the_limits_in_the_simulator_too(program):
         text = ordered(*READY, *orders, *quiet(0.8))
         printed = firmware(text)
         assert simulated(text) == printed
-        done = heard(printed)
+        done = parse_run(printed)
         assert_bounded(done)
         states |= set(done.answers().values())
     assert {Status.DONE, Status.INCOMPLETE, Status.LIMIT, Status.WRONG_TABLE} <= states

@@ -121,7 +121,7 @@ class Peer:
         self.words.publish(String(data=word))
         return self.until(lambda: word in self.heard, 0.5)
 
-    def said(self, *report):
+    def wait_for_report(self, *report):
         """Wait for diagnostics with that level, message, and number of values."""
         assert self.until(lambda: self.reports[-1:] == [report]), self.reports[-1:]
 
@@ -143,11 +143,11 @@ def entities(node):
 
 def test_it_works_while_it_is_active_and_only_then(peer):
     empty = entities(peer.echo)
-    peer.said(Level.WARN, "unconfigured", 0)
+    peer.wait_for_report(Level.WARN, "unconfigured", 0)
     for life in (1, 2):
         assert peer.change("configure")
         assert peer.state() == "inactive"
-        peer.said(Level.WARN, "inactive", 0)
+        peer.wait_for_report(Level.WARN, "inactive", 0)
         for spell in (1, 2):
             assert not peer.echoes(f"inactive {life} {spell}")
             ticks = peer.echo.ticks
@@ -156,7 +156,7 @@ def test_it_works_while_it_is_active_and_only_then(peer):
             assert (answer.success, answer.message) == (False, "echo is inactive, allowed: active")
             assert peer.change("activate")
             assert peer.state() == "active"
-            peer.said(Level.OK, "well", 1)
+            peer.wait_for_report(Level.OK, "well", 1)
             assert peer.echoes(f"active {life} {spell}")
             assert peer.until(lambda n=ticks: peer.echo.ticks > n)
             assert peer.call(peer.orders, Trigger.Request()).success
@@ -233,10 +233,10 @@ def test_a_failed_configure_cleans_up_reports_why_and_can_be_repeated(peer, refu
         assert not peer.change("configure")
         assert peer.state() == "unconfigured"
         assert entities(peer.echo) == empty
-        peer.said(Level.ERROR, f"unconfigured: {refusal}", 0)
+        peer.wait_for_report(Level.ERROR, f"unconfigured: {refusal}", 0)
     peer.echo.refuse = None
     assert peer.change("configure")
-    peer.said(Level.WARN, "inactive", 0)
+    peer.wait_for_report(Level.WARN, "inactive", 0)
     assert peer.change("activate")
     assert peer.echoes("well")
 
@@ -342,15 +342,17 @@ def test_simulated_time_of_nobody_or_of_two_nodes_is_reported(peer):
         assert peer.set("use_sim_time", True).successful
         assert peer.change("configure")
         assert peer.change("activate")
-        peer.said(Level.WARN, "well; use_sim_time is true, but no node publishes /clock", 1)
+        peer.wait_for_report(
+            Level.WARN, "well; use_sim_time is true, but no node publishes /clock", 1
+        )
         peer.node.create_publisher(Clock, "/clock", DATA)
-        peer.said(Level.OK, "well", 1)
+        peer.wait_for_report(Level.OK, "well", 1)
         clock = other.create_publisher(Clock, "/clock", DATA)
         several = "2 nodes publish /clock (other, peer), allowed: one"
-        peer.said(Level.WARN, f"well; {several}", 1)
+        peer.wait_for_report(Level.WARN, f"well; {several}", 1)
         assert peer.echo.second_clock() == several
         other.destroy_publisher(clock)
-        peer.said(Level.OK, "well", 1)
+        peer.wait_for_report(Level.OK, "well", 1)
         assert peer.change("deactivate")
         assert peer.set("use_sim_time", False).successful
         other.create_publisher(Clock, "/clock", DATA)

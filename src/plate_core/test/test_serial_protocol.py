@@ -61,7 +61,7 @@ KNOTS = (
 )
 SHAKEN = (KNOTS[1].position, KNOTS[1].acceleration)
 LIMITS = f32(0.01, 1.0, 100.0, 200.0, 60.0, 0.003)
-SAID = [
+EXAMPLE_PACKETS = [
     Packet(1, Hello(5, 0x12345678)),
     Packet(2, Heartbeat(1_500_000_000)),
     Packet(3, Enable(0xCAFE)),
@@ -98,13 +98,13 @@ SAID = [
 
 
 def test_examples_show_all():
-    assert [name for name, _ in EXAMPLES] == [type(p.message).__name__ for p in SAID]
-    assert {type(p.message) for p in SAID} == set(get_args(Message))
+    assert [name for name, _ in EXAMPLES] == [type(p.message).__name__ for p in EXAMPLE_PACKETS]
+    assert {type(p.message) for p in EXAMPLE_PACKETS} == set(get_args(Message))
     assert f"`{EXAMPLES[0][1]}`" in DOCUMENT
 
 
 @pytest.mark.parametrize(
-    ("example", "text"), list(zip(SAID, [t for _, t in EXAMPLES], strict=True)), ids=str
+    ("example", "text"), list(zip(EXAMPLE_PACKETS, [t for _, t in EXAMPLES], strict=True)), ids=str
 )
 def test_bytes_are_those_of_the_examples(example, text):
     data = bytes.fromhex(text)
@@ -203,7 +203,7 @@ def naive_packet(encoded: bytes) -> bytes | None:
 
 def test_random_and_mutated_frames():
     rng = np.random.default_rng(1)
-    originals = [frame(pack(p)) for p in SAID]
+    originals = [frame(pack(p)) for p in EXAMPLE_PACKETS]
     reader, accepted, right = Reader(), 0, []
     for trial in range(5_000):
         if trial % 2:

@@ -63,8 +63,8 @@ def start(driven, on=True):
     return driven.call("measure_friction", MeasureFriction.Request(start=on))
 
 
-def said(driven):
-    return driven.said["friction"][-1]
+def last_report(driven):
+    return driven.published["friction"][-1]
 
 
 @pytest.mark.parametrize("factor", [1.0, 0.9])
@@ -86,11 +86,11 @@ def test_it_measures_writes_and_lets_cycles_through_again(driven, monkeypatch, f
     assert (again.success, "one measurement at a time" in again.message) == (False, True)
     for _ in range(200):
         plate.pass_time(1.0)
-        if said(driven).state != Friction.RUNNING:
+        if last_report(driven).state != Friction.RUNNING:
             break
-    assert said(driven).state == Friction.DONE, said(driven).text
-    assert said(driven).header.stamp == answer.started
-    assert {part.id: part.mu for part in said(driven).parts} == pytest.approx(MU, rel=0.01)
+    assert last_report(driven).state == Friction.DONE, last_report(driven).text
+    assert last_report(driven).header.stamp == answer.started
+    assert {part.id: part.mu for part in last_report(driven).parts} == pytest.approx(MU, rel=0.01)
     assert driven.node.status.state is DriverState.READY
     assert isinstance(driven.send(CALM), int)
     written = driven.call("write_friction")
@@ -113,8 +113,8 @@ def test_a_task_or_motors_that_are_not_ready_come_first(driven):
 def test_a_friction_measurement_without_images_fails(driven):
     assert start(driven).success
     driven.pass_time(6.0)
-    assert said(driven).state == Friction.FAILED
-    assert "no message of parts within 5 s" in said(driven).text
+    assert last_report(driven).state == Friction.FAILED
+    assert "no message of parts within 5 s" in last_report(driven).text
     assert driven.node.status.state is DriverState.READY
     assert not driven.setpoints
 
@@ -128,12 +128,12 @@ def test_simulated_time_that_stops_ends_it(monkeypatch):
         for _ in range(4):
             driven.node._friction._on_parts(parts_to_msg(parts, to_time(1)))
             driven.pass_time(1.0)
-            assert said(driven).state == Friction.RUNNING
+            assert last_report(driven).state == Friction.RUNNING
         assert driven.send(CALM, 1).startswith("the driver is calibrating")
         driven.pass_time(2.0)
-        assert said(driven).state == Friction.FAILED
-        assert said(driven).text.startswith("friction: simulated time has stopped")
-        assert "In lockstep" in said(driven).text
+        assert last_report(driven).state == Friction.FAILED
+        assert last_report(driven).text.startswith("friction: simulated time has stopped")
+        assert "In lockstep" in last_report(driven).text
         assert driven.node.status.state is DriverState.READY
         assert not driven.setpoints  # one image in four copies is not four images
         assert isinstance(driven.send(PlateCycle.rest(0.1), 1), int)  # the simulator continues
@@ -149,7 +149,7 @@ def test_a_stop_and_its_own_end_it(driven):
         start(driven, on=False).message
         == "canceled: the plate comes to rest after the current push"
     )
-    assert said(driven).state == Friction.FAILED
+    assert last_report(driven).state == Friction.FAILED
     count = len(driven.setpoints)
     plate.pass_time(5.0)
     assert len(driven.setpoints) == count
@@ -158,8 +158,8 @@ def test_a_stop_and_its_own_end_it(driven):
     plate.pass_time(5.0)
     driven.call("emergency_stop")
     plate.pass_time(1.0)
-    assert said(driven).state == Friction.FAILED
-    assert said(driven).text == EMERGENCY
+    assert last_report(driven).state == Friction.FAILED
+    assert last_report(driven).text == EMERGENCY
     assert at_rest(driven.setpoints[-1])
 
 
@@ -183,5 +183,5 @@ def test_images_count_from_the_end_of_a_push_that_begins_late(driven):
     plate.pass_time(2.0)
     assert server._running_cycle is not sent  # the next one was sent
     plate.pass_time(8.0)
-    assert said(driven).state == Friction.FAILED
-    assert said(driven).text == "friction: a push has not begun within 5 s"
+    assert last_report(driven).state == Friction.FAILED
+    assert last_report(driven).text == "friction: a push has not begun within 5 s"

@@ -137,7 +137,7 @@ def test_good_and_bad_cycles(driven, rig):
     totals = driven.values()
     assert [totals[-1][key] for key in ("cycles", "refused", "scaled")] == ["5", "6", "1"]
     assert any(float(report["worst_limit_fraction"]) > 5 for report in totals)
-    assert driven.said["motor_states"][-1].name == motors.joint_names
+    assert driven.published["motor_states"][-1].name == motors.joint_names
 
 
 def test_a_cycle_in_motion_is_taken_where_the_last_one_ends(driven, rig):
@@ -222,12 +222,12 @@ def test_starts_of_cycles_and_of_tails_are_reported(make, monkeypatch):
     driven.node._starts.get_subscription_count = lambda: 1
     assert driven.enable().success
     driven.pass_time(0.2)
-    driven.said["cycle_started"].clear()
+    driven.published["cycle_started"].clear()
     begin = driven.send(FIRST)
     driven.pass_time(0.06)
     driven.send(SECOND)
     driven.pass_time(0.5)
-    starts = driven.said["cycle_started"]
+    starts = driven.published["cycle_started"]
     after = [(nanoseconds(msg.header.stamp) - begin) / 1e9 for msg in starts]
     cycles = [msg_to_cycle(msg) for msg in starts]
     moving = [k for k, cycle in enumerate(cycles) if cycle.moves]
@@ -500,7 +500,7 @@ def test_services_stop_disable_and_enable(driven):
         assert driven.stamps()[-2:] == [stamp, stamp]
         assert at_rest(driven.setpoints[-1])
         assert driven.texts[-1] == state
-        assert driven.said["driver_status"][-1].reason == reason
+        assert driven.published["driver_status"][-1].reason == reason
         driven.pass_time(PERIOD)
         assert refused(driven) == f"the driver is {state}"
         assert call().success  # once more does no harm
@@ -549,7 +549,7 @@ def test_a_stop_latches_in_every_state(driven):
 
 def test_a_sign_of_life_comes_twice_a_second(driven):
     driven.pass_time(3.0)
-    times = [nanoseconds(msg.header.stamp) for msg in driven.said["driver_status"]]
+    times = [nanoseconds(msg.header.stamp) for msg in driven.published["driver_status"]]
     assert driven.clock.time_ns() - 600 * MS < times[-1]
     assert max(np.diff(times[1:])) < 600 * MS
 
@@ -557,7 +557,7 @@ def test_a_sign_of_life_comes_twice_a_second(driven):
 def test_an_enable_without_a_stop_changes_nothing(driven):
     """Another time of it would end a running task: it stands for a stop that was cleared."""
     driven.pass_time(1.0)
-    statuses = driven.said["driver_status"]
+    statuses = driven.published["driver_status"]
     first, before = len(statuses) - 1, statuses[-1].enabled_at
     assert abs(nanoseconds(before) - driven.clock.time_ns()) < 2000 * MS
     answer = driven.enable()

@@ -127,7 +127,7 @@ class Host:
         self.setpoints: list[np.ndarray | None] = []
         see = lambda now, at: self.setpoints.append(at)  # noqa: E731
         self.emulator = Emulator(LIMITS, 5, accidents, see)
-        self.said: list[Message] = []
+        self.messages: list[Message] = []
         self.stretches = []
         self._reader, self._number = Reader(), 0
 
@@ -143,7 +143,7 @@ class Host:
             self.stretches += self.emulator.tick()
             data = self.emulator.to_host.arrived(self.emulator.now)
             self._reader, packets = self._reader.fed(data)
-            self.said += [parse(p).message for p in packets]
+            self.messages += [parse(p).message for p in packets]
 
     def begin(self) -> None:
         self.say(Hello(VERSION, 9))
@@ -251,7 +251,7 @@ def test_brown_out_stops_until_somebody_enables():
     host.enable()
     host.wait(0.6)
     assert (host.state, host.faults) == (State.READY, Fault.NONE)
-    assert any(isinstance(m, Telemetry) and m.faults & Fault.SUPPLY for m in host.said)
+    assert any(isinstance(m, Telemetry) and m.faults & Fault.SUPPLY for m in host.messages)
 
 
 def test_a_plate_that_jams_is_a_fault():
@@ -262,7 +262,7 @@ def test_a_plate_that_jams_is_a_fault():
     host.emulator.jam()
     host.wait(0.1)
     assert (host.state, host.faults) == (State.OFF, Fault.FOLLOWING)
-    errors = [m.following_m for m in host.said if isinstance(m, Telemetry)]
+    errors = [m.following_m for m in host.messages if isinstance(m, Telemetry)]
     assert max(errors) > LIMITS.following_m
     host.emulator.jam(False)
     host.wait(0.1)
@@ -291,7 +291,7 @@ def test_the_board_holds_what_the_device_has_not_read():
     for _ in range(300):
         host.say(Heartbeat(7))  # 4 kB at once, of which it holds 2
     host.wait(0.2)
-    reported = [m for m in host.said if isinstance(m, Pulse) and m.host_ns == 7]
+    reported = [m for m in host.messages if isinstance(m, Pulse) and m.host_ns == 7]
     assert 100 < len(reported) < 200
 
 
