@@ -142,40 +142,48 @@ class Plate:
         return answer
 
 
-def test_life_of_a_solver(peer, rig, capfd):
-    plate = Plate(peer, stamp_ns=1_000 * MS)
+START_NS = 1_000 * MS
+BOTH = Parts.make(("a_1", "a_2"), PLACES)
+PUSH = CycleRequest.make(BOTH, 1e-4 * np.ones((2, 2)))
+NO_PARTS = CycleRequest.make(Parts.make((), np.zeros((0, 2))))
 
-    # Every image is answered with a cycle that the rig can run, and the parts obey.
+
+def test_cycles_keep_the_limits_and_move_the_parts_as_requested(peer, rig):
+    plate = Plate(peer, START_NS)
     for _ in range(7):
-        answer = plate.cycle()
-        assert answer.starts_at_rest
-        assert usage(rig, answer).worst <= 1 + 1e-6
-        assert np.max(np.abs(answer.knot_pose)) > 1e-4
+        cycle = plate.cycle()
+        assert cycle.starts_at_rest
+        assert usage(rig, cycle).worst <= 1 + 1e-6
+        assert np.max(np.abs(cycle.knot_pose)) > 1e-4
     np.testing.assert_allclose(plate.drift, WANTED, atol=0.003)
     assert peer.cycles[-1].joint_names == ["x", "y", "theta"]
     report = peer.report(lambda r: r["parts"] == "2")
     assert report["method"] == "sinusoids"
+    assert 0 <= float(report["missed_fraction"]) <= 1
+    assert float(report["condition"]) >= 1
 
-    # The same stamp again is answered again, alike: the first answer may have been missed.
-    last_ns = nanoseconds(peer.cycles[-1].header.stamp)
-    first = msg_to_cycle(peer.answer(last_ns))
+
+def test_a_repeated_stamp_gets_the_same_cycle(peer):
+    """The first message may have been lost. A request without parts, after the end of a task, is
+    answered by rest, and later requests with this stamp are too."""
+    Plate(peer, START_NS).cycle()
+    first = msg_to_cycle(peer.answer(START_NS))
     other = CycleRequest.make(Parts.make(("a_1",), [[0.0, 0.1]]), [[1e-3, 0.0]])
-    peer.send(other, last_ns)
-    again = msg_to_cycle(peer.answer(last_ns, count=2))
+    peer.send(other, START_NS)
+    again = msg_to_cycle(peer.answer(START_NS, count=2))
     np.testing.assert_array_equal(again.knot_pose, first.knot_pose)
+    for count, ended in enumerate((NO_PARTS, other), start=3):
+        peer.send(ended, START_NS)
+        assert not msg_to_cycle(peer.answer(START_NS, count)).moves
 
-    # A request without parts after the end of a task is answered by rest, and this answer stays.
-    nothing = CycleRequest.make(Parts.make((), np.zeros((0, 2))))
-    for count, ended in enumerate((nothing, other), start=3):
-        peer.send(ended, last_ns)
-        assert not msg_to_cycle(peer.answer(last_ns, count)).moves
-    peer.solver.begin()
 
-    # The other method, live; it carries on where the first one was.
+def test_the_method_can_change_while_the_plate_moves(peer):
+    plate = Plate(peer, START_NS)
+    for _ in range(7):
+        plate.cycle()
+    assert np.ptp(np.diff(plate.running.times)) < 1e-6, "Method B has even knots"
     result = peer.set_method("rotations")
     assert result.successful, result.reason
-    knots = np.diff(plate.running.times)
-    assert np.ptp(knots) < 1e-6, "Method B has even knots"
     plate.cycle()
     assert np.ptp(np.diff(plate.running.times)) > 1e-4
     for _ in range(6):
@@ -190,87 +198,97 @@ def test_life_of_a_solver(peer, rig, capfd):
     assert peer.set_method("B").successful
     peer.report(lambda r: r["method"] == "sinusoids")
 
-    # Without a request the plate rests.
-    stamp_ns = plate.stamp_ns
-    rest = peer.ask(CycleRequest.make(Parts.make((), np.zeros((0, 2)))), stamp_ns)
+
+def test_without_parts_the_plate_rests(peer):
+    rest = peer.ask(NO_PARTS, START_NS)
     assert np.all(rest.knot_pose == 0)
     assert rest.starts_at_rest
 
-    # Messages that make no sense are not answered, and the solver goes on.
+
+def test_invalid_requests_are_not_answered(peer, capfd):
+    peer.ask(PUSH, START_NS)
     count = len(peer.cycles)
-    parts = Parts.make(("a_1", "a_2"), PLACES)
-    whole = CycleRequest.make(parts, 1e-4 * np.ones((2, 2)))
     refused = [
         CycleRequest.make(Parts.make(("a_1", "a_2"), PLACES * [np.nan, 1])),
-        CycleRequest.make(parts, np.full((2, 2), np.nan)),
+        CycleRequest.make(BOTH, np.full((2, 2), np.nan)),
         CycleRequest.make(Parts.make(("a_1", "a_1"), PLACES)),
     ]
     peer.executor.spin_for(1.1)  # so that diagnostics report only these
+    stamp_ns = START_NS
     for number, bad in enumerate(refused, 1):
         stamp_ns += 100 * MS
         peer.send(bad, stamp_ns)
         peer.report(lambda r, number=number: r["refused_messages"] == str(number))
     peer.wait_for_diagnostics(DiagnosticStatus.ERROR, "part_forces refused: ")
-    peer.send(whole, plate.stamp_ns - 50 * MS)  # older than the last
+    peer.send(PUSH, START_NS - 50 * MS)  # older than the last
     peer.report(lambda r: r["refused_messages"] == "4")
     stamp_ns += 100 * MS
-    assert np.any(peer.ask(whole, stamp_ns).knot_pose != 0)
+    assert np.any(peer.ask(PUSH, stamp_ns).knot_pose != 0)
     assert len(peer.cycles) == count + 1
-
-    # Of what came while it was busy the last is answered, so that it is never far behind.
-    burst = [stamp_ns + k * MS for k in range(1, 9)]
-    count = len(peer.cycles)
-    for number in burst:
-        peer.send(whole, number)
-    peer.answer(burst[-1])
-    assert len(peer.cycles) < count + len(burst)
-
-    # A stamp far in the past is that of a restarted simulator: the memory is cleared.
-    fresh = Plate(peer, stamp_ns=0)
-    again = [fresh.cycle().knot_pose for _ in range(3)]
-    first = [msg_to_cycle(m).knot_pose for m in peer.cycles[:3]]
-    np.testing.assert_array_equal(again, first)
-
-    # A torque is served: see test_turning.
-    spun = peer.ask(
-        CycleRequest.make(Parts.make(("z_1",), PLACES[:1]), torque=[2e-6]), fresh.stamp_ns
-    )
-    assert np.any(spun.knot_pose != 0)
-
-    # Where a second node asks too, the plate rests.
-    force = CycleRequest.make(Parts.make(("a_1", "a_2"), PLACES), 1e-4 * np.ones((2, 2)))
-    rogue = rclpy.create_node("rogue")
-    rogue.create_publisher(PartForces, "part_forces", DATA)
-    assert peer.until(lambda: "rogue" in peer.second_publisher())
-    assert not np.any(peer.ask(force, fresh.stamp_ns + 100 * MS).knot_pose)
-    rogue.destroy_node()
-    assert peer.until(lambda: not peer.second_publisher())
-    assert np.any(peer.ask(force, fresh.stamp_ns + 200 * MS).knot_pose)
-
-    # Also where it has the name of the first.
-    twin = rclpy.create_node(peer.node.get_name())
-    publisher = twin.create_publisher(PartForces, "part_forces", DATA)
-    for k in range(300, 340, 10):
-        publisher.publish(request_to_msg(force, to_time(fresh.stamp_ns + k * MS)))
-        peer.executor.spin_for(0.1)
-        answer = peer.ask(force, fresh.stamp_ns + (k + 5) * MS)
-    assert not np.any(answer.knot_pose)
-    twin.destroy_node()
-    assert peer.until(lambda: not peer.second_publisher())
-    assert np.any(peer.ask(force, fresh.stamp_ns + 400 * MS).knot_pose)
-
-    # Without requests the values are old.
-    peer.wait_for_diagnostics(
-        DiagnosticStatus.STALE, "no part_forces for ", "check that the planner runs"
-    )
-
-    report = peer.report(lambda r: int(r["answers"]) >= 20)
-    assert 0 <= float(report["missed_fraction"]) <= 1
-    assert float(report["condition"]) >= 1
     output = capfd.readouterr().err
     assert "Traceback" not in output
     assert "part_forces refused" in output
+
+
+def test_of_requests_that_arrive_during_a_search_the_last_is_answered(peer):
+    """Otherwise, the solver would fall behind."""
+    burst = [START_NS + k * MS for k in range(1, 9)]
+    for stamp_ns in burst:
+        peer.send(PUSH, stamp_ns)
+    peer.answer(burst[-1])
+    assert len(peer.cycles) < len(burst)
+
+
+def test_after_a_restart_of_the_simulator_the_memory_is_cleared(peer):
+    """A stamp far in the past is that of a restarted simulator."""
+    plate = Plate(peer, START_NS)
+    for _ in range(3):
+        plate.cycle()
+    first = [msg_to_cycle(m).knot_pose for m in peer.cycles]
+    fresh = Plate(peer, stamp_ns=0)
+    again = [fresh.cycle().knot_pose for _ in range(3)]
+    np.testing.assert_array_equal(again, first)
+
+
+def test_a_torque_moves_the_plate(peer):
+    """test_turning.py tests the motion."""
+    part = Parts.make(("z_1",), PLACES[:1])
+    assert np.any(peer.ask(CycleRequest.make(part, torque=[2e-6]), START_NS).knot_pose != 0)
+
+
+def test_if_a_second_node_sends_requests_the_plate_rests(peer, capfd):
+    peer.ask(PUSH, START_NS)
+    rogue = rclpy.create_node("rogue")
+    rogue.create_publisher(PartForces, "part_forces", DATA)
+    assert peer.until(lambda: "rogue" in peer.second_publisher())
+    assert not np.any(peer.ask(PUSH, START_NS + 100 * MS).knot_pose)
+    rogue.destroy_node()
+    assert peer.until(lambda: not peer.second_publisher())
+    assert np.any(peer.ask(PUSH, START_NS + 200 * MS).knot_pose)
+    output = capfd.readouterr().err
+    assert "Traceback" not in output
     assert "no solution, plate rests: 2 nodes publish part_forces (peer, rogue)" in output
+
+
+def test_a_second_node_with_the_name_of_the_first_is_detected(peer):
+    peer.ask(PUSH, START_NS)
+    twin = rclpy.create_node(peer.node.get_name())
+    publisher = twin.create_publisher(PartForces, "part_forces", DATA)
+    for k in range(100, 140, 10):
+        publisher.publish(request_to_msg(PUSH, to_time(START_NS + k * MS)))
+        peer.executor.spin_for(0.1)
+        cycle = peer.ask(PUSH, START_NS + (k + 5) * MS)
+    assert not np.any(cycle.knot_pose)
+    twin.destroy_node()
+    assert peer.until(lambda: not peer.second_publisher())
+    assert np.any(peer.ask(PUSH, START_NS + 200 * MS).knot_pose)
+
+
+def test_missing_requests_are_reported(peer):
+    peer.ask(PUSH, START_NS)
+    peer.wait_for_diagnostics(
+        DiagnosticStatus.STALE, "no part_forces for ", "check that the planner runs"
+    )
 
 
 def test_the_cycle_that_runs_is_the_last_that_was_sent_in_time(peer):
