@@ -9,8 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
-from plate_core import load_rig
+from plate_core import config_path, load_rig
 from plate_core.rig import default_rig_path
 from plate_driver.friction import make_push, slip
 from plate_sim.friction import simulate
@@ -20,6 +21,11 @@ from stages.friction import PLACES, measured, parts_at
 
 RIG = load_rig()
 G = RIG.friction.gravity
+NEAR_EDGES = [
+    {"class": "black", "positions_m": [[-0.273, -0.123], [0.273, 0.123]]},
+    {"class": "grey", "positions_m": [[0.05, -0.04], [-0.05, 0.04]]},
+]
+"""Parts with little clearance along x and y. The measurement then makes fewer pushes."""
 
 
 @pytest.mark.parametrize("static", [1.0, 1.2])
@@ -58,7 +64,10 @@ def test_the_command_measures_it_in_the_real_graph_and_writes_it(tmp_path):
 
     rig_file = Path(shutil.copy(default_rig_path(), tmp_path / "rig.yaml"))
     before = rig_file.read_text(encoding="utf-8")
-    options = LightOptions(scenario="sort_4", seed=3, rig_file=str(rig_file))
+    scenario = yaml.safe_load(config_path("scenarios/sort_4.yaml").read_text(encoding="utf-8"))
+    scenario["parts"] = NEAR_EDGES
+    (tmp_path / "scenario.yaml").write_text(yaml.safe_dump(scenario), encoding="utf-8")
+    options = LightOptions(scenario=str(tmp_path / "scenario.yaml"), rig_file=str(rig_file))
     with session(options, tmp_path, pictures=False) as graph:
         graph.observer.await_ready()
         graph.observer.set_parameter("simulator", "mu_scale", 1.3)
