@@ -77,11 +77,9 @@ def main() -> int:
         return code
     except KeyboardInterrupt:
         done = sum(seed in rows.by_seed for seed in args.seeds)
-        kept = f" {args.json} contains them; the same command does the rest."
-        print(
-            f"stopped after {done} of {len(args.seeds)} runs.{kept if args.json and done else ''}",
-            file=sys.stderr,
-        )
+        kept = f" {args.json} contains them; the same command does the rest." if args.json else ""
+        count = f" after {done} of {len(args.seeds)} runs.{kept}" if done else ""
+        print(f"stopped{count}", file=sys.stderr)
         return 130
     print(_summary_text([rows.by_seed[seed] for seed in args.seeds]))
     return 0
