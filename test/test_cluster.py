@@ -159,9 +159,16 @@ def numbers(runs):
     return [run.result(WAIT_S)[2] for run in runs]
 
 
-def processes_of(pool):
-    """Process ids of the workers of a cluster."""
-    return {run.result(WAIT_S)[1] for run in submitted(pool, 8)}
+def await_runs_on(pool, workers):
+    """Wait until each of these workers has executed a run. No other worker may execute one."""
+    expected, found = {worker.pid for worker in workers}, set()
+
+    def complete():
+        found.update(run.result(WAIT_S)[1] for run in submitted(pool, 4, 0.1))
+        assert found <= expected
+        return found == expected
+
+    until(complete)
 
 
 def endless(pool, folder, count):
@@ -247,7 +254,7 @@ def test_a_worker_with_other_results_is_refused_by_name(shared, pool, messages):
     (line,) = (line for line in messages if "is refused" in line)
     assert "tcp://127.0.0.1:" in line
     assert "OPENBLAS_CORETYPE is 'Haswell', allowed: ''" in line
-    assert processes_of(pool) == {worker.pid for worker in shared.workers}
+    await_runs_on(pool, shared.workers)
 
 
 def test_workers_without_a_module_are_refused(shared, messages, tmp_path, monkeypatch):
@@ -273,18 +280,17 @@ def test_a_worker_without_the_packages_is_refused(shared, pool, messages):
 
 
 def test_what_is_canceled_ends_on_the_workers(shared, pool, tmp_path):
-    both = {worker.pid for worker in shared.workers}
     runs, files = endless(pool, tmp_path, 3)
     for run in runs:
         run.cancel()
-    assert processes_of(pool) == both
+    await_runs_on(pool, shared.workers)
     assert not files[2].exists()
     runs, files = endless(pool, tmp_path, 3)
     pool.shutdown()
     assert not wait(runs, WAIT_S).not_done
     assert all(run.cancelled() for run in runs)
     with Cluster(shared.address) as again:
-        assert processes_of(again) == both
+        await_runs_on(again, shared.workers)
     assert not files[2].exists()
 
 
@@ -301,7 +307,7 @@ def test_the_runs_of_a_killed_command_end_on_the_workers(shared, pool, tmp_path)
     with subprocess.Popen(words) as process:
         until(lambda: all(file.exists() for file in files))
         process.kill()
-    assert processes_of(pool) == {worker.pid for worker in shared.workers}
+    await_runs_on(pool, shared.workers)
 
 
 def cut_connections(address):

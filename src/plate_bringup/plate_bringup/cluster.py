@@ -210,7 +210,7 @@ class Cluster(Executor):
         while not self._ending.wait(POLL_S):
             try:
                 self._check_new_workers()
-            except PlateError:
+            except Exception:  # after any error, a new connection is the remedy
                 if self._ending.is_set() or not self._connect_again():
                     return
 
