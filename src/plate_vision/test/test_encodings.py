@@ -140,7 +140,8 @@ def test_other_patterns_of_a_grey_image_are_no_mosaic(rng):
     y, x = np.mgrid[:64, :96]
     stripes = np.where(x // 2 % 8 < 4, 200, 20)
     uneven = 100 + 1.5 * (y % 2) + 1.5 * (x % 2)
-    for pixels in (stripes, 2.5 * x, 4 * y, rng.uniform(0, 255, (64, 96)), uneven, 0 * x):
+    dark = 10 + 1.5 * (y % 2)
+    for pixels in (stripes, 2.5 * x, 4 * y, rng.uniform(0, 255, (64, 96)), uneven, 0 * x, dark):
         frame = np.rint(pixels).astype(np.uint8)
         assert np.array_equal(decode(frame.tobytes(), (96, 64), "mono8", 96), frame)
 

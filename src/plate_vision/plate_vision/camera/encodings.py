@@ -77,9 +77,10 @@ BLOCKS, MIN_SIDE = 64, 64
 searched. MIN_SIDE: minimum width and height of such an image [px]. In a smaller image, a gradient
 of the light looks like a mosaic."""
 
-MOSAIC = 0.05
-"""Minimum range of the means of the four pixels of 2 x 2 blocks in a mosaic, relative to the mean
-of all pixels [-]. In grey images, the range is below 0.02. In raw Bayer data, it is 0.2 to 0.6."""
+MOSAIC, MOSAIC_GREY = 0.05, 2.0
+"""Minimum range of the means of the four pixels of 2 x 2 blocks in a mosaic: relative to the mean
+of all pixels [-], and absolute [grey levels]. In grey images, the relative range is below 0.02, but
+in dark images, sensors with unequal rows exceed it. In raw Bayer data, it is 0.2 to 0.6."""
 
 COMPRESSED = ("JPEG", "PNG", "TIFF", "WebP")
 """Formats of sensor_msgs/CompressedImage that are read."""
@@ -250,7 +251,7 @@ def check_mosaic(pixels: np.ndarray, kind: str) -> None:
     blocks = pixels[: 2 * height, : 2 * width].reshape(height, 2, width, 2)
     step = max(1, height // BLOCKS), max(1, width // BLOCKS)
     mean = blocks[:: step[0], :, :: step[1]].mean(axis=(0, 2))
-    limit = MOSAIC * float(mean.mean())
+    limit = max(MOSAIC * float(mean.mean()), MOSAIC_GREY)
     spread = float(np.ptp(mean))
     if spread <= limit:
         return
