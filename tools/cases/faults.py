@@ -231,6 +231,15 @@ class Faults:
         self.wait(UNASKED_S)
         plate.tables_only = False
         if row.task_s is None:  # the end of the task was not published before the node was back
+            # The planner publishes its diagnostics once per second. After a stall, it can publish
+            # some before it ends the task.
+            self.observer.until(
+                lambda: any(
+                    message.at > back and message.level is Level.ERROR
+                    for message in diagnostics.get("planner", ())
+                ),
+                BACK_S,
+            )
             self.add_messages(row, put_at, time.monotonic())
         row.moved_unasked = (
             row.rest_s is not None and plate.moved_until > at_utc + row.rest_s + 0.25
