@@ -48,7 +48,7 @@ test-tools: checks ## Install Chromium, ARM compilers and launch, for some tests
 
 # What was made of the tests' code is kept, or each worker makes it anew, in 7 s, before its first one.
 test: checks ## Run all tests: [ARGS='-k name'] [WORKERS=3; 0: in one process]
-	@$(if $(ARGS),,echo "About 11 minutes on two idle cores; some tests: make test ARGS='-k name'";) \
+	@$(if $(ARGS),,echo "About 9 minutes on two idle cores; some tests: make test ARGS='-k name'";) \
 	    $(ENTER) unset PYTHONDONTWRITEBYTECODE && export ROS_PYTHON_CHECK_FIELDS=1 && \
 	    python tools/needs.py && exec python -m pytest -n $(WORKERS) $(ARGS)
 
