@@ -1,6 +1,7 @@
 """`Observer.enable` with a driver whose device is connected late, falls silent, or was stopped."""
 
 import os
+from typing import ClassVar
 
 import pytest
 
@@ -29,6 +30,8 @@ class Driver:
     """A driver that goes through states, one at each pulse of the observer. At a call of enable it
     must be at `OFF`, else it refuses."""
 
+    begun: ClassVar[list["Driver"]] = []
+
     def __init__(self, observer: Observer, *statuses: DriverStatus) -> None:
         self.left, self.status, self.calls = list(statuses), statuses[0], 0
         self.at_first_call: list[DriverStatus] = []
@@ -38,6 +41,7 @@ class Driver:
         self.executor = SingleThreadedExecutor()
         self.executor.add_node(self.node)
         observer.pulses.append(self.step)
+        self.begun.append(self)
 
     def step(self) -> None:
         if self.left:
@@ -64,6 +68,10 @@ def _observer(monkeypatch):
             monkeypatch.setitem(os.environ, name, value)
         with Observer(domain, pictures=False) as observer:
             yield observer
+            # A driver that remained would send its last status to the observer of the next test.
+            for driver in Driver.begun:
+                driver.node.destroy_node()
+            Driver.begun.clear()
 
 
 @pytest.mark.parametrize("waits", [[SILENT], [NO_PORT], [INACTIVE, SILENT]])

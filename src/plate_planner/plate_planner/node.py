@@ -244,6 +244,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
     def rest(self) -> None:
         """End the task."""
         self._end_task(Failure(Reason.STOPPED, "the planner was deactivated"))
+        self._reports.await_delivery()
 
     def retune(self) -> None:
         """Apply the new value of the parameter `kp`."""

@@ -309,6 +309,19 @@ def test_a_planner_that_is_deactivated_ends_the_task_and_takes_no_goal(graph):
     graph.begin(1.0)
 
 
+def test_a_planner_that_is_deactivated_waits_for_the_delivery_of_the_last_status(
+    graph, monkeypatch
+):
+    graph = graph()
+    graph.begin()
+    statuses, calls = graph.planner._reports._statuses, []
+    publish = statuses.publish
+    monkeypatch.setattr(statuses, "publish", lambda msg: (calls.append(msg.reason), publish(msg)))
+    monkeypatch.setattr(statuses, "wait_for_all_acked", lambda timeout: calls.append("waits"))
+    graph.planner.trigger_deactivate()
+    assert calls[-2:] == [TaskStatus.STOPPED, "waits"]
+
+
 @pytest.mark.parametrize("status", NOT_READY, ids=lambda status: status.text)
 def test_a_driver_that_is_not_ready_ends_the_task_at_once(graph, status):
     graph = graph()

@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 from builtin_interfaces.msg import Time
+from rclpy.duration import Duration
 from std_msgs.msg import Header
 
 from plate_core.ros import DATA, LATCHED, SafeLifecycleNode, targets_to_msg
@@ -18,6 +19,9 @@ from plate_interfaces.msg import FeedStatus, Part, Parts, Targets, TaskStatus
 from ..supervision import Reason
 from ..task_run import Run, TaskRunner
 from .messages import feed_to_msg, run_to_msg
+
+ACKNOWLEDGED_S = 0.5
+"""Maximum time to wait for the acknowledgement of the last status [s]."""
 
 
 class TaskReports:
@@ -45,6 +49,12 @@ class TaskReports:
     def record_image(self, msg: Parts) -> None:
         """Store the parts of the last image, because feed_status needs them."""
         self._shown = {part.id: part for part in msg.parts}
+
+    def await_delivery(self) -> None:
+        """Wait until all subscribers have received the last status, for at most `ACKNOWLEDGED_S`.
+        If the process ended earlier, a slow subscriber could wait forever for the end of a
+        task."""
+        self._statuses.wait_for_all_acked(Duration(seconds=ACKNOWLEDGED_S))
 
     def publish_status(
         self, run: Run | None, answered: Time, reason: Reason = Reason.NONE
