@@ -38,17 +38,16 @@ demo: workspace ## Run the closed loop: [SCENARIO=sort_10] [RIG=...] [METHOD=...
 play: workspace ## Play on a live page: [SCENARIO=play] [RIG=...] [METHOD=...] [CAMERA=...] [PORT=...]
 	@$(ENTER) exec python tools/play.py $(RUN) $(ARGS)
 
-# Number of cores, plus one, 3 to 9. Almost half of the workers mostly wait for real nodes, and the others give way to
-# these nodes (test/lanes.py). If two workers per core waited for nodes, the driver would sometimes send nothing for too
-# long, and the board would stop the plate.
-WORKERS ?= $(shell cores=$$(env -u OMP_NUM_THREADS nproc); echo $$(( cores < 2 ? 3 : cores > 8 ? 9 : cores + 1 )))
+# One for each core, 2 to 8: half of them mostly wait for real nodes, to which the others give way (test/lanes.py).
+# With one more, the driver sometimes sends nothing for too long, and the board stops the plate.
+WORKERS ?= $(shell cores=$$(env -u OMP_NUM_THREADS nproc); echo $$(( cores < 2 ? 2 : cores > 8 ? 8 : cores )))
 
 test-tools: checks ## Install Chromium, ARM compilers and launch, for some tests: [SOURCES=https://github.com]
 	@$(ENTER) exec python tools/needs.py --install
 
 # What was made of the tests' code is kept, or each worker makes it anew, in 7 s, before its first one.
-test: checks ## Run all tests: [ARGS='-k name'] [WORKERS=3; 0: in one process]
-	@$(if $(ARGS),,echo "About 9 minutes on two idle cores; some tests: make test ARGS='-k name'";) \
+test: checks ## Run all tests: [ARGS='-k name'] [WORKERS=2; 0: in one process]
+	@$(if $(ARGS),,echo "About 10 minutes on two idle cores; some tests: make test ARGS='-k name'";) \
 	    $(ENTER) unset PYTHONDONTWRITEBYTECODE && export ROS_PYTHON_CHECK_FIELDS=1 && \
 	    python tools/needs.py && exec python -m pytest -n $(WORKERS) $(ARGS)
 
