@@ -5,8 +5,8 @@ of the packages, in src/, and those of test/ that start neither, or only program
 The front workers are the first half of the workers, rounded down but at least one. They run the
 files that wait, then the other files. The other workers run the files that compute, at a lower
 priority, so they use the time in which the front workers wait. When no file that computes is left,
-they take the others. The last of three or more workers only computes: the real nodes of so many
-workers would be too late.
+they take the others. The last of three or more workers only computes. If it also started nodes,
+the nodes would be too late.
 """
 
 import os

@@ -506,7 +506,7 @@ def run_on_worker(call: bytes) -> tuple[bytes, str]:
     text = _error_text(error)
     try:
         return dumps(error), text
-    except Exception:
+    except Exception:  # some exceptions cannot be encoded, such as those with an open file
         return dumps(PlateError(f"a run has raised {text}")), text
 
 

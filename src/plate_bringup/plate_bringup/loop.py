@@ -33,16 +33,11 @@ from plate_core.files import check_file
 from plate_core.motion import Timeline
 from plate_core.rig import MAX_HEIGHT_M
 from plate_core.tasks import (
-    AssembleTask,
     FeedOrder,
-    FeedTask,
     FollowTask,
-    MoveTask,
     PartTarget,
     PoseTask,
     Scenario,
-    SortTask,
-    Task,
     load_scenario,
 )
 from plate_driver.setpoints import MotorTable, prepare
@@ -53,15 +48,7 @@ from plate_planner import (
     PlannerState,
     Progress,
 )
-from plate_planner.tasks import (
-    ANGLE_ERROR_RAD,
-    POSITION_ERROR_M,
-    Assembler,
-    FeedReport,
-    Follower,
-    Poser,
-    Sorter,
-)
+from plate_planner.tasks import FeedReport
 from plate_sim.camera import NOISE
 from plate_sim.plate import PlateMotion
 from plate_sim.world import NONE, WORLD_RANGES, Disturbances, Shot, Simulation, WorldState
@@ -69,6 +56,7 @@ from plate_solver import METHODS, Answer, Controller
 from plate_vision import Prediction, Tracker, make_vision, observe
 from plate_vision.bare_plate import BARE_IMAGES, BarePlate, know_plate
 
+from .evaluation import is_fulfilled, true_errors
 from .views import view_from, with_height
 
 __all__ = [
@@ -80,7 +68,6 @@ __all__ = [
     "Setup",
     "SimulatedScene",
     "Transport",
-    "is_fulfilled",
     "load_planner",
     "predicted",
     "run",
@@ -600,7 +587,7 @@ class _Loop:
         line.send(table)
         self._state = self._planner.record_cycle(self._state, answer.cycle, line.now)
         step_s = cpu_time() - self._work_began
-        error, turned = _true_errors(
+        error, turned = true_errors(
             self._planner.scenario, rig, self._state, self._parts, self._start, self._began
         )
         used = fitted.usage
@@ -684,79 +671,6 @@ def with_setup_camera(setup: Setup, rig: Rig) -> Rig:
     return replace(rig, camera=replace(rig.camera, **settings)) if settings else rig
 
 
-def _true_errors(
-    scenario: Scenario,
-    rig: Rig,
-    state: PlannerState,
-    parts: Parts,
-    world: WorldState,
-    t: float,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the true distances of the parts from their references or targets (P,) [m], and in a
-    pose task their angle errors (P,) [rad]. An array is empty if its errors are not defined."""
-    task, true, empty = scenario.task, world.position, np.zeros(0)
-    if not len(true):
-        return empty, empty
-    if isinstance(task, AssembleTask):
-        distance = Assembler(task, rig).distance(Parts.make(world.ids, true))
-        return distance[~np.isnan(distance)], empty
-    if state.memory is None:
-        return empty, empty
-    if isinstance(task, PoseTask):
-        missing = Poser(task, rig).errors(
-            state.memory, _nearest_true_parts(parts, state.memory.match, world)
-        )
-        return missing[0], np.abs(missing[1])
-    if isinstance(task, MoveTask):
-        true_parts = _nearest_true_parts(parts, tuple(target.id for target in task.targets), world)
-        position = {target.id: target.place for target in task.targets}
-        goal = np.array([position[name] for name in true_parts.ids]).reshape(-1, 2)
-        return np.hypot(*(true_parts.position - goal).T), empty
-    # Before the reference paths of a follow task start, there are no errors.
-    if not isinstance(task, FollowTask) or state.memory.leading:
-        return empty, empty
-    reference = Follower(task, rig).reference(state.memory, t)
-    seen = dict(zip(parts.ids, parts.position, strict=True))
-    errors = []
-    for k, name in enumerate(state.memory.match):
-        if name in seen:
-            nearest = np.argmin(np.sum((true - seen[name]) ** 2, axis=1))
-            errors.append(np.linalg.norm(true[nearest] - reference[k]))
-    return np.array(errors), empty
-
-
-def _nearest_true_parts(parts: Parts, names: tuple[str, ...], world: WorldState) -> Parts:
-    """For each detected part whose id is in `names`, return the nearest true part. The returned
-    parts have the ids of the detected parts."""
-    ids = [name for name in names if name in parts.ids]
-    seen = parts.position[[parts.ids.index(name) for name in ids]]
-    rows = [int(np.argmin(np.sum((world.position - position) ** 2, axis=1))) for position in seen]
-    return Parts.make(tuple(ids), world.position[rows], angle=world.angle[rows])
-
-
-def is_fulfilled(task: Task, rig: Rig, moment: Moment, error: np.ndarray) -> bool:
-    """Return whether the task is fulfilled by the final true state of the parts. All parts must be
-    on the plate.
-
-    `error` (n,) contains those distances of the parts from their references [m] that the tolerance
-    limits.
-    """
-    if moment.world.dropped:
-        return False
-    if isinstance(task, FeedTask):
-        return True
-    if isinstance(task, SortTask):
-        true = Parts.make(moment.world.ids, moment.world.position)
-        return float(np.max(np.nan_to_num(Sorter(task, rig).to_go(true)))) <= POSITION_ERROR_M
-    if isinstance(task, FollowTask):
-        return float(np.max(error, initial=0.0)) <= task.max_error_m + POSITION_ERROR_M
-    at_targets = float(np.max(moment.error_m, initial=0.0)) <= task.tolerance_m + POSITION_ERROR_M
-    if isinstance(task, PoseTask):
-        turned = float(np.max(moment.turn_error, initial=0.0))
-        at_targets = at_targets and turned <= task.tolerance_rad + ANGLE_ERROR_RAD
-    return at_targets
-
-
 def summary(setup: Setup, rig: Rig, transport: Transport | None = None) -> dict[str, object]:
     """Run the loop until the task has ended. Return the row that `bench/closed_loop.py` prints."""
     solve_s: list[float] = []
@@ -785,6 +699,8 @@ def summary(setup: Setup, rig: Rig, transport: Transport | None = None) -> dict[
     all_along = stay or isinstance(task, FollowTask)
     # In all other tasks, only the error at the end counts.
     error = np.concatenate(errors) if all_along else errors[-1]
+    evaluated = error if isinstance(task, FollowTask) else moment.error_m
+    fulfilled = is_fulfilled(task, rig, moment.world, evaluated, moment.turn_error)
     turned = np.degrees(np.max(moment.turn_error, initial=0.0))
     # The first cycle is omitted, because lookup tables of the solver are computed in it.
     milliseconds = 1e3 * np.array(solve_s[1:] or [0.0])
@@ -795,7 +711,7 @@ def summary(setup: Setup, rig: Rig, transport: Transport | None = None) -> dict[
         "seed": setup.seed,
         "method": setup.method,
         "cycles": cycles.hexdigest(),
-        "success": moment.progress.phase == "done" and is_fulfilled(task, rig, moment, error),
+        "success": moment.progress.phase == "done" and fulfilled,
         "message": moment.progress.text,
         "time_s": round(moment.progress.time_s, 3),
         "dropped": moment.world.dropped,

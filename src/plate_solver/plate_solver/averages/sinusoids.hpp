@@ -19,23 +19,19 @@ namespace plate::averages {
 
 using namespace sinusoids;
 
-// Options of a Levenberg-Marquardt search that starts at a random motion.
-constexpr Damping FROM_RANDOM{.first = 1.25e-3,
-                              .minimum = 1e-9,
-                              .maximum = 1e2,
-                              .shrink = 8.0,
-                              .grow = 6.0,
-                              .stall_steps = 6,
-                              .stall_fraction = 0.7};
+// Options of a Levenberg-Marquardt search with the first damping `first`.
+constexpr Damping damping_from(double first) {
+    return {.first = first,
+            .minimum = 1e-9,
+            .maximum = 1e2,
+            .shrink = 8.0,
+            .grow = 6.0,
+            .stall_steps = 6,
+            .stall_fraction = 0.7};
+}
 
-// Options of a Levenberg-Marquardt search that starts near a solution.
-constexpr Damping FROM_SIMILAR{.first = 1.25e-5,
-                               .minimum = 1e-9,
-                               .maximum = 1e2,
-                               .shrink = 8.0,
-                               .grow = 6.0,
-                               .stall_steps = 6,
-                               .stall_fraction = 0.7};
+constexpr Damping FROM_RANDOM = damping_from(1.25e-3);   // for a start at a random motion
+constexpr Damping FROM_SIMILAR = damping_from(1.25e-5);  // for a start near a solution
 
 constexpr int FIRST = 0;  // number of the first start
 
