@@ -92,7 +92,7 @@ class Rows:
         return rows
 
     def write(self) -> None:
-        """Write the new rows to the file now."""
+        """If there are new rows, write all rows to the file now."""
         if self._file is None or not self._new:
             return
         rows = [self.by_seed[seed] for seed in sorted(self.by_seed)]

@@ -131,19 +131,20 @@ class Cluster(Executor):
         with self._lock:
             if self._ending.is_set():
                 raise RuntimeError("a run was submitted after shutdown")
+            if self._failed:
+                result.set_exception(PlateError(self._failed))
+                return result
             self._calls[result] = fn, args, kwargs
+            result.add_done_callback(self._remove_run)
             self._begin(result)
-            failed = self._failed
-        result.add_done_callback(self._remove_run)
-        if failed:
-            self._fail_runs()
         return result
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = True) -> None:
         """Cancel all unfinished runs, and disconnect."""
-        if self._ending.is_set():
-            return
-        self._ending.set()
+        with self._lock:  # after this, no run is added
+            if self._ending.is_set():
+                return
+            self._ending.set()
         for result in list(self._calls):
             result.cancel()
         with self._lock:
@@ -167,7 +168,7 @@ class Cluster(Executor):
                     # would decode the arguments, but it cannot import their modules. If a result
                     # could not be encoded or decoded, Dask would report no error.
                     words = {"call": dumps(call)}
-                except Exception as problem:
+                except Exception as problem:  # an argument cannot be encoded, for any reason
                     return _set(result, None, problem)
                 key, resources = f"run-{uuid.uuid4()}", {self._key: 1}
                 try:
@@ -185,6 +186,7 @@ class Cluster(Executor):
                         _set(result, None, PlateError(text + _error_text(problem)))
                     elif not isinstance(problem, Exception):  # the client is closed
                         raise
+                    # After any other exception, the result is lost, and the run is sent again.
         return None
 
     def _remove_run(self, result: Future[Any]) -> None:
@@ -304,7 +306,7 @@ class Cluster(Executor):
             try:
                 query = client.scheduler.identity
                 return client.sync(query, n_workers=-1, callback_timeout=RETURN_S)
-            except Exception as problem:
+            except Exception as problem:  # Dask raises exceptions of many types
                 reason = _error_text(problem)
         raise PlateError(f"cluster {self._address}: the connection is lost ({reason})")
 
@@ -426,17 +428,17 @@ async def _query_server(address: str) -> tuple[str, str]:
 
 def _deliver(result: Future[Any], outcome: tuple[bytes, str]) -> None:
     """Pass the outcome of a run, as `run_on_worker` returns it, to the caller."""
-    value = problem = None
+    encoded, error = outcome
     try:
-        encoded, error = outcome
         value = pickle.loads(encoded)
-    except BaseException as unread:
+    except BaseException as unread:  # decoding runs code of the user, which can raise anything
         text = f"the result of a run cannot be read here: {_error_text(unread)}"
-        problem = PlateError(f"{text}; the run has raised {error}" if error else text)
+        _set(result, None, PlateError(f"{text}; the run has raised {error}" if error else text))
+        return
+    if error:
+        _set(result, None, value)
     else:
-        if error:
-            value, problem = None, value
-    _set(result, value, problem)
+        _set(result, value, None)
 
 
 def _set(result: Future[Any], value: Any, problem: BaseException | None) -> None:
@@ -535,7 +537,7 @@ async def _compare_and_admit(
         _make_bench_importable()
     try:
         found = differences(expected, await asyncio.to_thread(_facts_alone, *terms))
-    except Exception as problem:
+    except Exception as problem:  # if an OSError left this function, the check would be repeated
         return [_error_text(problem)]
     if not found and key not in dask_worker.state.total_resources:
         try:

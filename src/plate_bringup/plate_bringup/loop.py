@@ -499,7 +499,7 @@ class _Loop:
     """Stages of a run, and the state of the loop between two steps.
 
     A step consists of four parts, in the order in which `run` calls them. `record_cycle_start`
-    informs the planner that a cycle has started. `process_image` takes an image and detects the
+    informs the planner if a cycle has started. `process_image` takes an image and detects the
     parts. `answer` computes and sends the next cycle. `advance` moves the plate and the parts.
     """
 

@@ -154,7 +154,7 @@ def test_a_file_that_another_process_has_filled_stays(tmp_path, monkeypatch):
 
 
 def test_a_new_file_that_a_process_without_a_lock_has_made_stays(tmp_path):
-    """Such as a process on another computer."""
+    """For example, that process runs on another computer."""
     path = tmp_path / "rows.json"
     with OwnFile(path) as file:
         path.write_text("1")

@@ -163,7 +163,7 @@ def test_on_a_slow_line_queued_messages_are_not_repeated():
     link, first = replace(link, heartbeat_at=1.0).due(0.02)  # after Hello
     assert messages_in(first) == [Begin(3, 2, 3201564194)]
     link, some = done(link, first, 0.1).due(0.1)
-    assert messages_in(some) == [Knots(3, 0, (KNOTS[0],))]  # one to a message: it takes 68 ms
+    assert messages_in(some) == [Knots(3, 0, (KNOTS[0],))]  # one knot, because it takes 68 ms
     for now in (0.11, 0.13, 0.15):
         link, more = link.due(now)
         assert messages_in(more) == []

@@ -227,7 +227,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             "image_raw",
             msg.header.stamp,
             lambda: decode(msg.data, size_px, msg.encoding, msg.step, big, self.options.bits),
-            lambda: largest_number(msg.data, msg.encoding, big),
+            lambda: largest_number(msg.data, size_px, msg.encoding, msg.step, big),
         )
 
     def _on_file(self, msg: CompressedImage) -> None:

@@ -260,7 +260,8 @@ class OverlookedTally:
         if not total:
             return None
         why = ", ".join(text for _, text in named)
-        limit = np.where(np.isin(reason, EDGE_REASONS), EDGE_COVER_RADII, COVER_RADII)
+        at_edge = np.isin(reason, EDGE_REASONS)
+        limit = np.where(at_edge, EDGE_COVER_RADII, COVER_RADII)
         largest = int(np.argmax(radius / limit))
         if radius[largest] > limit[largest] * expected.largest:
             thing = np.concatenate(self.things)[largest]
@@ -276,7 +277,7 @@ class OverlookedTally:
             return Finding(Level.WARN, f"no part is detected, but {things}: {why}")
         of = f"{total} of {total + taken} objects on the plate"
         verb = "is not recognised as a part" if total == 1 else "are not recognised as parts"
-        counts = (radius >= SPECK_RADIUS * expected.smallest) & ~np.isin(reason, EDGE_REASONS)
+        counts = (radius >= SPECK_RADIUS * expected.smallest) & ~at_edge
         large = np.count_nonzero(counts)
         many = large > WARN_FRACTION * (large + self.taken) and large >= WARN_COUNT * self.images
         return Finding(Level.WARN if many else Level.OK, f"{of} {verb}: {why}")

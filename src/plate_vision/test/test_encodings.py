@@ -72,15 +72,20 @@ def test_a_hint_at_wrong_bits():
     for used in (8, 9, 10, 12, 14):
         largest = round(0.9 * 2**used)
         data = np.full((HEIGHT, WIDTH), largest, ">u2").tobytes()
-        assert largest_number(data, "mono16", True) == largest
+        assert largest_number(data, (WIDTH, HEIGHT), "mono16", 2 * WIDTH, True) == largest
         hint = bits_hint(largest, 16)
         assert f"numbers is {largest}: if the camera uses only {used} of the 16 bits, " in hint
     assert bits_hint(0, 16) == ""  # black anyway
     assert bits_hint(65535, 16) == ""
     assert "more than 12 bits" in bits_hint(65535, 12)
-    assert bits_hint(largest_number(bytes(96), "mono8"), 16) == ""
+    assert bits_hint(largest_number(bytes(96), (12, 8), "mono8", 12), 16) == ""
     picture = cv2.imencode(".png", np.full((HEIGHT, WIDTH), 200, np.uint16))[1].tobytes()
     assert largest_in_file(picture) == 200
+    opaque = np.full((HEIGHT, WIDTH, 4), (200, 200, 900, 65535), np.uint16)
+    assert largest_in_file(cv2.imencode(".png", opaque)[1].tobytes()) == 900
+    padded = np.pad(opaque.astype("<u2").reshape(HEIGHT, -1), ((0, 0), (0, 3)), constant_values=999)
+    data = padded.tobytes() + b"\xff"  # transparency, padding of rows, and the rest of a buffer
+    assert largest_number(data, (WIDTH, HEIGHT), "bgra16", 8 * WIDTH + 6) == 900
     assert largest_in_file(b"") is None
 
 

@@ -103,5 +103,6 @@ class Agreement:
         )
 
     def explained(self, text: str) -> str:
-        """Return the reason of a failure, preceded by the text about reversed axes."""
-        return f"{self.text}; {text}" if self.text else text
+        """Return the reason `text` of a failure. If the axes seem reversed, the text about this
+        comes first."""
+        return "; ".join(filter(None, (self.text, text)))

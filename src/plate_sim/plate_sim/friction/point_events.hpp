@@ -58,7 +58,7 @@ struct Bounds {
 // - slip, surface_accel: magnitudes of its slip [m/s] and of the surface's acceleration [m/s2]
 // - power: scalar product of the surface's acceleration and the friction acceleration [m2/s4]
 // - allowed: allowed error of the position [m]
-// - on_line: whether the slip stays on a line
+// - on_line: whether the surface accelerates along one line only, and the slip is parallel to it
 // - coarse: whether the maximum number of steps is exceeded
 struct SlidingState {
     double slip, surface_accel, power, allowed;

@@ -164,7 +164,7 @@ PLATE_WIDE inline double greatest_triple(const double* values, int points) {
 }
 
 // The largest result of `greatest_triple` for several great circles. `indices` contains the index
-// of the circle and the indices of its three points.
+// of the great circle with this result, and the indices of the three points that give it.
 struct Best {
     double triple;
     std::array<int, 4> indices;

@@ -47,8 +47,8 @@ constexpr double TINY = 1e-30;
 //     gain (dx, dy, j/G dw),    gain = min(1, mu g dt / q),    q^2 = dx^2 + dy^2 + j dw^2
 //
 // j depends on the direction of the slip and has the derivatives jx, jy. The derivatives of q^2/2
-// with respect to (dx, dy, dw) are (bx, by, j dw). If the part slips, those of the gain are
-// -gain/q^2 (bx, by, j dw); `gain_drop` is gain/q^2. If the part sticks, the gain is constant.
+// with respect to (dx, dy, dw) are (bx, by, j dw). If the part slips, the derivatives of the gain
+// are -gain/q^2 (bx, by, j dw), and `gain_drop` is gain/q^2. If it sticks, the gain is constant.
 PLATE_WIDE inline void trace_turning(View<float, 2> state, SamplesOf<float> pose,
                                      SamplesOf<float> twist, float dt, View<float, 3> steps) {
     using namespace turning;

@@ -51,8 +51,9 @@ ENCODINGS = {
 """Kind of pixels and bytes per value for each encoding of sensor_msgs/Image."""
 
 PADDING, PADDING_ROWS = 4096, 16
-"""Minimum number of bytes, and of rows, that are too many after the last row. Drivers of video
-devices publish the whole buffer, which ends at a multiple of 4096 bytes or of 16 rows."""
+"""Limits of the padding after the last row [bytes], [rows]. An image is refused if its padding
+reaches the larger limit. Drivers of video devices publish the whole buffer, which ends at a
+multiple of 4096 bytes or of 16 rows."""
 
 MAX_PIXELS = 50_000_000
 """Maximum size of an unpacked image [pixels], which is 0.15 GB in colour. The limit is needed
@@ -139,9 +140,9 @@ def decode(
         raise ImageError(
             f"image: size is {width} x {height} px, allowed: even numbers with encoding {encoding}"
         )
-    pixels = np.frombuffer(data, np.uint8, size_bytes).reshape(height, step)[:, :row]
+    pixels = _rows(data, size_px, encoding, step)
     if size == 2:
-        wide = np.ascontiguousarray(pixels).view(">u2" if big_endian else "<u2")
+        wide = _wide(pixels, big_endian)
         check_byte_order(wide, big_endian)
         pixels = to_8_bits(wide, bits)
     if channels == 1:
@@ -283,18 +284,44 @@ def _roughness(wide: np.ndarray) -> float:
 
 
 def largest_number(
-    data: bytes | bytearray | memoryview, encoding: str, big_endian: bool = False
+    data: bytes | bytearray | memoryview,
+    size_px: tuple[int, int],
+    encoding: str,
+    step: int,
+    big_endian: bool = False,
 ) -> int | None:
-    """Return the largest number of a sensor_msgs/Image with 16 bits. The arguments are as in
-    `decode`. Return None for other encodings."""
-    if ENCODINGS[encoding][1] != 2:
+    """Return the largest 16-bit number of a sensor_msgs/Image that `decode` has accepted, without
+    padding and transparency. The arguments are as in `decode`. Return None for encodings with 8
+    bits."""
+    kind, size = ENCODINGS[encoding]
+    if size != 2:
         return None
-    return int(np.frombuffer(data, ">u2" if big_endian else "<u2").max(initial=0))
+    wide = _wide(_rows(data, size_px, encoding, step), big_endian)
+    return int(wide.reshape(len(wide), -1, CHANNELS.get(kind, 1))[:, :, :3].max(initial=0))
+
+
+def _rows(
+    data: bytes | bytearray | memoryview, size_px: tuple[int, int], encoding: str, step: int
+) -> np.ndarray:
+    """Return the bytes of an image's rows (H, bytes) without padding. The arguments are as in
+    `decode`."""
+    kind, size = ENCODINGS[encoding]
+    width, height = size_px
+    rows = np.frombuffer(data, np.uint8, step * height).reshape(height, step)
+    return rows[:, : width * CHANNELS.get(kind, 1) * size]
+
+
+def _wide(rows: np.ndarray, big_endian: bool) -> np.ndarray:
+    """Return the 16-bit numbers (H, n) of rows (H, 2 n) uint8."""
+    return np.ascontiguousarray(rows).view(">u2" if big_endian else "<u2")
 
 
 def largest_in_file(content: bytes | bytearray | memoryview) -> int | None:
-    """Return the largest number of a picture's file with 16 bits. Return None for other files."""
-    pixels = decode_picture(bytes(content), cv2.IMREAD_UNCHANGED) if is_wide_file(content) else None
+    """Return the largest number in a 16-bit PNG file, without transparency. Return None for all
+    other files, and for a damaged file."""
+    if not is_wide_file(content):
+        return None
+    pixels = decode_picture(bytes(content), cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH)
     return None if pixels is None else int(pixels.max(initial=0))
 
 

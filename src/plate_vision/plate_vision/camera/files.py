@@ -245,7 +245,7 @@ class Pictures:
         pixels = decode_picture(content, cv2.IMREAD_COLOR, header)
         if pixels is None:
             raise ImageError(f"{file}: cannot be read, allowed: a complete picture ({KINDS})")
-        largest = largest_in_file(content)
+        largest = None if self._warned else largest_in_file(content)
         if largest and largest.bit_length() < 16:
             self._warn_once(
                 f"{file.name}: only {largest.bit_length()} of its 16 bits are used, so it is "

@@ -37,7 +37,8 @@ PNM = re.compile(rb"P[1-6](?:\s+(?:#[^\n]*\n\s*)*)(\d+)(?:\s+(?:#[^\n]*\n\s*)*)(
 """Header of a PNM file, which may contain comments. The groups are the width and the height."""
 
 PNG_END, JPEG_END = b"IEND\xae\x42\x60\x82", b"\xff\xd9"
-"""End marks of complete files. Some drivers append the rest of a buffer."""
+"""End marks of complete files. Other bytes can follow, because some drivers append the rest of a
+buffer."""
 
 OTHER_KINDS = (
     (0, b"GIF8", "GIF"),
