@@ -183,6 +183,8 @@ class Cluster(Executor):
                 except BaseException as problem:
                     if run.status == "error":
                         text = f"cluster {self._address}: Dask could not execute a run: "
+                        if type(problem).__name__ == "KilledWorker":
+                            text += "several workers ended during it (check their memory): "
                         _set(result, None, PlateError(text + _error_text(problem)))
                     elif not isinstance(problem, Exception):  # the client is closed
                         raise
@@ -288,8 +290,9 @@ class Cluster(Executor):
         if self._waits != (waits := not accepted and all(self._refusals.values())):
             self._waits = waits
             if waits:
-                refused = f"; all {len(workers)} are refused" if workers else ""
-                self._tell(f"waiting for workers{refused}")
+                advice = f"start one: dask worker {self._address} --nthreads 1"
+                refused = f"all {len(workers)} are refused" if workers else advice
+                self._tell(f"waiting for workers; {refused}")
         return len(workers), len(accepted)
 
     def _scheduler_info(self) -> Any:
