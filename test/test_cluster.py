@@ -11,7 +11,7 @@ import subprocess
 import sys
 import threading
 import time
-from concurrent.futures import CancelledError, ThreadPoolExecutor, as_completed, wait
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor, as_completed, wait
 from importlib import import_module
 from importlib.metadata import version
 from itertools import islice
@@ -462,9 +462,14 @@ def test_an_address_without_a_scheduler_is_refused(address, reason):
     assert repr(address) in str(problem.value)
 
 
-def test_a_server_of_another_kind_is_refused(monkeypatch):
-    """It does not answer in Dask's way."""
+@pytest.mark.parametrize("first", ["caller", "thread"])
+def test_a_server_of_another_kind_is_refused(first, monkeypatch):
+    """It does not answer in Dask's way. The time limit of the caller or that of the thread is
+    reached first."""
     monkeypatch.setattr(cluster, "CONNECT_S", 0.3)
+    if first == "thread":
+        result = Future.result
+        monkeypatch.setattr(Future, "result", lambda self, timeout=None: result(self, WAIT_S))
     with socket.create_server(("127.0.0.1", 0)) as server:
         address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
         with pytest.raises(PlateError, match=r"answers \(TimeoutError: no answer within 0.3 s"):
