@@ -127,6 +127,22 @@ def test_strip_and_film_of_a_short_run(dropped, tmp_path):
         assert film.width < 800
 
 
+def test_cycles_are_counted_by_motor_tables_if_there_is_no_simulator():
+    run = scene("sort_10", ("black_1",), np.zeros((4, 1, 2)))
+    images = np.arange(10) / 30  # three images per cycle
+    film = replace(run.film, time=images, position=np.zeros((10, 1, 2)), simulated=False)
+    still = replace(film.tables[0], knot_twist=np.zeros_like(film.tables[0].knot_twist))
+    film = replace(film, table_time=TIME, tables=(still, *film.tables[1:]))
+    run = replace(run, film=film)
+    assert [run.clock(t).split(", ")[1] for t in (0.05, 0.19, 0.3)] == [
+        "cycle 0 of 3",
+        "cycle 1 of 3",
+        "cycle 3 of 3",
+    ]
+    assert film.running(0.19) is still  # computed during the cycle before
+    assert film.running(0.21) is not still
+
+
 @pytest.mark.parametrize(
     ("value", "rounded"), [(0.1, 0.1), (0.199, 0.1), (0.2, 0.2), (7.0, 5.0), (0.0099, 0.005)]
 )

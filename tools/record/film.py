@@ -28,9 +28,9 @@ class Film:
     ids : tuple of str
         Names of all parts. The array `position` has the same order.
     time : (n,)
-        Starts of cycles [s]. If there is no simulator, the stamps of images are used.
+        Times of the positions [s]: starts of cycles or, if there is no simulator, stamps of images.
     position : (n, M, 2)
-        Positions of the parts in plate_home [m] at these times. NaN after a part has left the
+        Positions of the parts in plate_home [m]. NaN after a part has left the
         plate, or while it is not detected.
     angle : (n, M)
         Angles of the parts [rad].
@@ -70,18 +70,23 @@ class Film:
         return int((len(self.ids) if self.simulated else np.max(count)) - count[-1])
 
     @property
+    def starts(self) -> np.ndarray:
+        """Starts of cycles (k,) [s]. If there is no simulator, the stamps of the motor tables are
+        used, because a free-running camera takes several images in a cycle."""
+        return self.time if self.simulated else self.table_time
+
+    @property
     def cycles(self) -> int:
         """Number of cycles that began during the task."""
-        starts = self.time if self.simulated else self.table_time
-        return int(np.sum((starts > -ROUNDING) & (starts < self.end - ROUNDING)))
+        return int(np.sum((self.starts > -ROUNDING) & (self.starts < self.end - ROUNDING)))
 
     def running(self, t: float) -> PlateCycle | None:
         """Return the plate's motion at a time. This motion is the last table whose stamp is before
         the start of the cycle at this time. Return None if there is no such table."""
-        k = int(np.searchsorted(self.time, t, side="right")) - 1
+        k = int(np.searchsorted(self.starts, t, side="right")) - 1
         if k < 1:
             return None
-        m = int(np.searchsorted(self.table_time, self.time[k], side="left")) - 1
+        m = int(np.searchsorted(self.table_time, self.starts[k], side="left")) - 1
         return self.tables[m] if m >= 0 else None
 
 

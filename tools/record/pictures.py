@@ -163,7 +163,7 @@ class Scene:
 
     def clock(self, t: float) -> str:
         """Return a text with the time and the number of the cycle."""
-        done = int(np.sum((self.film.time > NOW) & (self.film.time <= t + NOW)))
+        done = int(np.sum((self.film.starts > NOW) & (self.film.starts <= t + NOW)))
         return f"{t:.1f} s, cycle {min(done, self.film.cycles)} of {self.film.cycles}"
 
     def motion(self, t: float) -> PlateCycle | None:
@@ -173,7 +173,7 @@ class Scene:
         if t <= 0:
             stamps = zip(film.table_time, film.tables, strict=True)
             first = next((s for s, table in stamps if s >= -NOW and np.any(table.knot_twist)), 0.0)
-            later = film.time[film.time > first + NOW]
+            later = film.starts[film.starts > first + NOW]
             t = float(later[0]) + NOW if len(later) else 0.0
         return film.running(min(t, film.end - 1e-3))
 
