@@ -76,6 +76,21 @@ def test_a_part_that_fell_off_leaves_a_cross_where_it_was(dropped):
     assert "100 mm" in reported
 
 
+def test_a_part_that_a_real_camera_lost_and_found_again_did_not_fall_off(dropped):
+    position = np.full((4, 3, 2), np.nan)
+    position[:2, 1] = position[2, 2] = LEFT  # the detector gives the part a new name, then loses it
+    position[:, 0] = 0.0
+    ids = ("black_1", "grey_2", "grey_3")
+    film = replace(dropped.film, ids=ids, position=position, angle=np.zeros((4, 3)))
+    assert (film.parts, film.dropped) == (3, 2)  # in a simulation, names are unique
+    film = replace(film, simulated=False)
+    assert (film.parts, film.dropped) == (2, 1)
+    run = replace(dropped, film=film)
+    reported = [one.text for one in samples(run, ARROWS, STRIP.canvas(run))]
+    assert "last detected here" in reported
+    assert "fell off here" not in reported
+
+
 def test_targets_have_the_colour_of_their_class_and_the_plate_has_none(dropped):
     canvas = STRIP.canvas(dropped)
     draw_task(dropped, canvas)

@@ -60,14 +60,21 @@ class Film:
     simulated: bool = True
 
     @property
+    def _count(self) -> np.ndarray:
+        """Number of parts on the plate or, if there is no simulator, of detected parts (n,)."""
+        return np.sum(np.isfinite(self.position[:, :, 0]), axis=1)
+
+    @property
+    def parts(self) -> int:
+        """Number of parts. If there is no simulator, the value is the maximum number of parts in
+        an image, because the detector can give a part that was lost a new name."""
+        return len(self.ids) if self.simulated else int(np.max(self._count, initial=0))
+
+    @property
     def dropped(self) -> int:
-        """Number of parts that have left the plate."""
-        count = np.sum(np.isfinite(self.position[:, :, 0]), axis=1)
-        if not len(count):
-            return 0
-        # Count positions instead of names, because the detector can give a part that was lost a new
-        # name.
-        return int((len(self.ids) if self.simulated else np.max(count)) - count[-1])
+        """Number of parts that have left the plate or, if there is no simulator, that are not
+        detected at the end."""
+        return int(self.parts - self._count[-1]) if len(self.time) else 0
 
     @property
     def starts(self) -> np.ndarray:

@@ -177,7 +177,8 @@ def evaluate(
         "success": record.done and film.dropped == 0,
         "message": record.states[-1],
         "dropped": film.dropped,
-        "parts": len(film.ids),
+        "simulated": film.simulated,
+        "parts": film.parts,
         "there": placed_word(task),
         "parts_sorted": int(record.last("planner", "parts_sorted")),
         "time_s": round(film.end, 3),
@@ -237,7 +238,8 @@ def _motion_row(result: dict[str, Any]) -> tuple[str, str]:
     used = max(result[f"{name}_share_max"] for name in LIMITS)
     waits = [f"{result[key]} {text}" for key, text in WAITS.items() if result[key]]
     waited = f" {', '.join(waits)} (machine load {result['load']:g})." if waits else ""
-    return f"{done}, {result['dropped'] or 'none'} dropped", f" ({100 * used:.0f} % used).{waited}"
+    lost = "dropped" if result["simulated"] else "not detected at the end"
+    return f"{done}, {result['dropped'] or 'none'} {lost}", f" ({100 * used:.0f} % used).{waited}"
 
 
 def _feeding_row(result: dict[str, Any]) -> tuple[str, str]:

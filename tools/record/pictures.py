@@ -351,7 +351,8 @@ def draw_trails(scene: Scene, canvas: Canvas, t: float) -> None:
 
 def draw_parts(scene: Scene, canvas: Canvas, t: float, faces: bool) -> None:
     """Draw the parts at t [s] with their angles and target angles, and crosses at the last
-    positions of parts that have left the plate. Without `faces`, draw only the parts' edges."""
+    positions of parts that have left the plate or are not detected. Without `faces`, draw only the
+    parts' edges."""
     position = scene.until(t)
     now = max(0, int(np.searchsorted(scene.film.time, t + NOW, side="right")) - 1)
     for label, place, angle in scene.poses:
@@ -425,8 +426,9 @@ def samples(scene: Scene, arrows: Arrows, frame: Canvas) -> list[Sample]:
     if scene.feeds:
         text = "just taken, or fallen over the edge"
         found.append(Sample(2 * radius, lambda c: c.cross(end, radius, INK), text))
-    elif scene.film.dropped:
-        found.append(Sample(2 * radius, lambda c: c.cross(end, radius, INK), "fell off here"))
+    elif np.any(np.isnan(scene.film.position[-1:])):
+        text = "fell off here" if scene.film.simulated else "last detected here"
+        found.append(Sample(2 * radius, lambda c: c.cross(end, radius, INK), text))
     mark = radius / 2
     ruler = [(0, mark), (0, -mark), (0, 0), (bar, 0), (bar, mark), (bar, -mark)]
     found.append(Sample(bar, lambda c: c.line(ruler, INK, 1.5), f"{1e3 * bar:g} mm"))
