@@ -29,7 +29,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from plate_bringup import GraphError, RunOptions, load_graph
 from plate_bringup.production import check_robot
-from plate_core import PlateError, Rig, did_you_mean, load_rig, memory_problem
+from plate_core import PlateError, Rig, did_you_mean, load_rig, memory_problem, ros_domain
 from plate_core.rig import rig_warnings, unmeasured
 from plate_core.tasks import (
     FeedTask,
@@ -202,7 +202,7 @@ def check_arguments(args: argparse.Namespace) -> Plan:
     # With a real device but without the project's camera node, another node publishes the images.
     # This node is in the ROS domain of the present shell, so use the same domain.
     if domain is None and args.port and not args.camera:
-        domain = int(os.environ.get("ROS_DOMAIN_ID") or "0")
+        domain = ros_domain(os.environ)
     return Plan(args, options, scenario, rig, out, domain)
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import os
 import re
+import socket
 from collections.abc import Mapping, MutableMapping
 from pathlib import Path
 
@@ -35,6 +36,12 @@ LAST_DOMAIN = 232
 
 RANGE, PEERS = "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_STATIC_PEERS"
 
+RANGES = ("LOCALHOST", "SUBNET", "SYSTEM_DEFAULT")
+"""Allowed discovery ranges. With the range OFF, programs would not find each other."""
+
+LOOPBACK_S = 1.0
+"""Maximum time of a datagram from this machine to itself [s]."""
+
 
 def choose_network(environ: MutableMapping[str, str]) -> str:
     """Restrict DDS to this machine, unless environment variables name other machines (peers) or a
@@ -54,16 +61,63 @@ def choose_network(environ: MutableMapping[str, str]) -> str:
     str
         Warning that states why the nodes are reachable over the network. Empty if they are not
         reachable.
+
+    Raises
+    ------
+    PlateError
+        If the discovery range or a peer is not valid, if the Fast DDS profile does not exist, or if
+        the loopback interface is needed and does not work. Without this check, programs would not
+        find each other.
     """
     reach, peers = environ.setdefault(RANGE, "LOCALHOST") or "SUBNET", environ.get(PEERS, "")
-    is_open = bool(peers) or reach not in ("LOCALHOST", "OFF")
+    if reach not in RANGES:
+        raise PlateError(f"{RANGE} is {reach!r}, allowed: {', '.join(RANGES)}")
+    for peer in filter(None, peers.split(";")):
+        _check_peer(peer)
+    is_open = bool(peers) or reach != "LOCALHOST"
     environ[SKIP_OTHERS] = "1"
     if Path(environ.get(PROFILE, "")).name in ("", OWN, NETWORK):
         environ[PROFILE] = str(config_path(NETWORK if is_open else OWN))
+        if not is_open:
+            check_loopback()
+    elif not Path(environ[PROFILE]).is_file():
+        raise PlateError(f"{PROFILE} is {environ[PROFILE]!r}, allowed: an existing file, or unset")
     if not is_open:
         return ""
     why = f"{PEERS} is {peers}" if peers else f"{RANGE} is {reach}"
     return f"{why}: anyone who can reach this machine over the network can move the plate"
+
+
+def _check_peer(peer: str) -> None:
+    """Raise a PlateError if a peer is no address and no name that this machine can resolve."""
+    try:
+        socket.getaddrinfo(peer, None)
+    except (OSError, UnicodeError) as error:
+        raise PlateError(
+            f"{PEERS} contains {peer!r}, allowed: addresses or names of machines, "
+            f"with ; between them ({error})"
+        ) from None
+
+
+def check_loopback() -> None:
+    """Send a datagram through the loopback interface, by which the nodes find each other.
+
+    Raises
+    ------
+    PlateError
+        If the datagram does not arrive.
+    """
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as own:
+        own.settimeout(LOOPBACK_S)
+        try:
+            own.bind(("127.0.0.1", 0))
+            own.sendto(b"\0", own.getsockname())
+            own.recv(1)
+        except OSError as error:
+            raise PlateError(
+                f"network interface lo (127.0.0.1) does not work ({error}), allowed: an interface "
+                "that is up, because the nodes find each other through it (ip link set lo up)"
+            ) from None
 
 
 def memory_problem(folder: str | Path = MEMORY) -> str:

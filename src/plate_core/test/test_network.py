@@ -17,9 +17,8 @@ ENV_SH = "/elsewhere/config/fastdds.xml"
     ("given", "profile", "warning"),
     [
         ({}, "fastdds.xml", ""),
-        ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF"}, "fastdds.xml", ""),
         ({"ROS_STATIC_PEERS": ""}, "fastdds.xml", ""),
-        ({"ROS_STATIC_PEERS": "10.0.0.2"}, "fastdds_network.xml", "ROS_STATIC_PEERS is 10.0.0.2"),
+        ({"ROS_STATIC_PEERS": "10.0.0.2;::1"}, "fastdds_network.xml", "ROS_STATIC_PEERS is 10."),
         (
             {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"},
             "fastdds_network.xml", "ROS_AUTOMATIC_DISCOVERY_RANGE is SUBNET",
@@ -36,6 +35,33 @@ def test_only_a_request_opens_the_network(given, profile, warning, before):
     assert environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == given.get(
         "ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"
     )
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("ROS_AUTOMATIC_DISCOVERY_RANGE", "OFF", "is 'OFF', allowed: LOCALHOST, SUBNET"),
+        ("ROS_AUTOMATIC_DISCOVERY_RANGE", "subnet", "is 'subnet', allowed: LOCALHOST, SUBNET"),
+        ("ROS_STATIC_PEERS", "10.0.0.2;300.1.1.1", "contains '300.1.1.1', allowed: addresses"),
+        ("FASTRTPS_DEFAULT_PROFILES_FILE", "/no/dds.xml", "is '/no/dds.xml', allowed: an existing"),
+    ],
+)
+def test_values_with_which_programs_would_not_find_each_other_are_refused(name, value, words):
+    with pytest.raises(PlateError, match=f"^{name} {words}"):
+        choose_network({name: value})
+
+
+@pytest.mark.parametrize("problem", ["Network is unreachable", "timed out"])
+def test_a_loopback_interface_that_does_not_work_is_named(monkeypatch, problem):
+    def send(*_):
+        if problem != "timed out":
+            raise OSError(problem)
+
+    monkeypatch.setattr("socket.socket.sendto", send)
+    monkeypatch.setattr("plate_core.network.LOOPBACK_S", 0.01)
+    with pytest.raises(PlateError, match=rf"lo \(127.0.0.1\) does not work \({problem}\), allowed"):
+        choose_network({})
+    choose_network({"ROS_STATIC_PEERS": "10.0.0.2"})  # other interfaces suffice
 
 
 def test_missing_shared_memory_is_reported(tmp_path):
@@ -90,10 +116,12 @@ def test_a_profile_that_lies_in_the_current_folder_opens_nothing(tmp_path):
     assert addresses(tmp_path) == alone
 
 
-def test_a_profile_of_somebody_else_stays():
-    environ = {"FASTRTPS_DEFAULT_PROFILES_FILE": "/etc/dds.xml"}
+def test_a_profile_of_somebody_else_stays(tmp_path):
+    profile = tmp_path / "dds.xml"
+    profile.touch()
+    environ = {"FASTRTPS_DEFAULT_PROFILES_FILE": str(profile)}
     choose_network(environ)
-    assert environ["FASTRTPS_DEFAULT_PROFILES_FILE"] == "/etc/dds.xml"
+    assert environ["FASTRTPS_DEFAULT_PROFILES_FILE"] == str(profile)
 
 
 @pytest.mark.parametrize("text", ["233", "5000", "abc", "-1", "1.0"])
