@@ -320,14 +320,15 @@ def test_cycles_reach_the_board_and_telemetry_the_graph(bench):
     moved = np.array([msg_to_cycle(s).knot_pose.any() for s in bench.starts])
     assert np.all(np.diff(begins) > 0)
     assert not moved[0]
-    # On a busy computer, a stop shifts the starts, and so does a board whose clock stalls.
+    # On a busy computer, a stop shifts the starts, and so does a board whose clock stalls. If a
+    # cycle arrives late, the plate rests before this cycle.
     if board.count(Enable) == 1 and board.lost == lost:
-        steps = np.diff(begins[moved]) * 1e-9 / PERIOD
+        steps = np.diff(begins)[moved[1:] & moved[:-1]] * 1e-9 / PERIOD
         assert np.all(np.abs(steps - np.round(steps)) < 0.1), steps
     assert nanoseconds(bench.setpoints[-1].header.stamp) <= bench.stamp
     # Without cycles the plate rests, with current. Without a task that is normal.
-    assert bench.until(lambda: board.state is State.READY)
-    assert bench.until(bench.rests), (bench.reports[-1].message, bench.texts)
+    ended = bench.until(lambda: bench.rests() and board.state is State.READY)
+    assert ended, (bench.reports[-1].message, bench.texts, board.state)
     assert bench.reports[-1].level == DiagnosticStatus.OK
     values = {v.key: v.value for v in bench.reports[-1].values}
     assert {"device_state", "faults", "stop", "following_error_mm", "device_load",
