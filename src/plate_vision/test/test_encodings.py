@@ -74,7 +74,10 @@ def test_a_hint_at_wrong_bits():
         data = np.full((HEIGHT, WIDTH), largest, ">u2").tobytes()
         assert largest_number(data, (WIDTH, HEIGHT), "mono16", 2 * WIDTH, True) == largest
         hint = bits_hint(largest, 16)
-        assert f"numbers is {largest}: if the camera uses only {used} of the 16 bits, " in hint
+        assert (
+            f"numbers is {largest}: if they are no distances (depth image) and the camera " in hint
+        )
+        assert f"uses only {used} of the 16 bits, " in hint
     assert bits_hint(0, 16) == ""  # black anyway
     assert bits_hint(65535, 16) == ""
     assert "more than 12 bits" in bits_hint(65535, 12)
@@ -161,9 +164,43 @@ def test_brightness_and_colour_apart(encoding, grey, colour):
     assert np.abs(seen - expected[None, :, None]).max() <= 1
 
 
+@pytest.mark.parametrize("encoding", ["nv12", "nv21", "yuv420"])
+@pytest.mark.parametrize("padding", [0, 4])
+def test_planes_have_the_colours_of_packed_pixels(rng, encoding, padding):
+    """The same brightness, and the same colours in 2 x 2 pixels."""
+    grey = rng.integers(0, 256, (HEIGHT, WIDTH), np.uint8)
+    blue, red = rng.integers(0, 256, (2, HEIGHT // 2, WIDTH // 2), np.uint8)
+    pairs = np.dstack([np.dstack([blue, red]).reshape(HEIGHT // 2, WIDTH).repeat(2, 0), grey])
+
+    def padded(rows, width):
+        return np.pad(rows, ((0, 0), (0, width - rows.shape[1])), constant_values=77).tobytes()
+
+    step = WIDTH + padding
+    alternating = np.dstack([red, blue] if encoding == "nv21" else [blue, red])
+    colours = (
+        padded(blue, step // 2) + padded(red, step // 2)
+        if encoding == "yuv420"
+        else padded(alternating.reshape(-1, WIDTH), step)
+    )
+    data = padded(grey, step) + colours
+    expected = unpack(pairs, "yuv422")
+    assert np.array_equal(decode(data, (WIDTH, HEIGHT), encoding, step), expected)
+    if padding:
+        rest = bytes(99)
+        assert np.array_equal(decode(data + rest, (WIDTH, HEIGHT), encoding, step), expected)
+    else:  # the mean of the bytes per row, as usb_cam publishes it
+        assert np.array_equal(decode(data, (WIDTH, HEIGHT), encoding, step * 3 // 2), expected)
+
+
 @pytest.mark.parametrize(
     ("words", "change"),
     [
+        ("data has 96 bytes, allowed: 144", {"encoding": "nv12"}),
+        (
+            "size is 12 x 7 px, allowed: even",
+            {"encoding": "nv21", "size_px": (12, 7), "data": bytes(126)},
+        ),
+        ("step is 13 bytes, allowed: even", {"encoding": "yuv420", "step": 13, "data": bytes(156)}),
         ("encoding is '32FC1', allowed: mono8", {"encoding": "32FC1"}),
         ("encoding is '', allowed", {"encoding": ""}),
         ("step is 11 bytes, allowed: at least 12", {"step": 11}),
@@ -184,7 +221,7 @@ def test_wrong_images_are_refused(words, change):
 
 def test_one_pixel():
     for encoding, (kind, size) in ENCODINGS.items():
-        if kind.startswith(("bayer", "yuv")):
+        if kind.startswith(("bayer", "yuv", "nv")):
             continue
         count = size * {"bgr": 3, "rgb": 3, "bgra": 4, "rgba": 4}.get(kind, 1)
         assert decode(bytes(count), (1, 1), encoding, count).shape[:2] == (1, 1)

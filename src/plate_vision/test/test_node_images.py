@@ -42,19 +42,22 @@ def packed(frame, encoding):
         grey = np.rint(16 + frame * (219 / 255)).astype(np.uint8)
         pair = [np.full_like(grey, 128), grey]
         return np.dstack(pair if encoding == "yuv422" else pair[::-1])
+    if encoding == "nv21":
+        grey = np.rint(16 + frame * (219 / 255)).astype(np.uint8)
+        return np.vstack([grey, np.full_like(grey[::2], 128)])
     return frame
 
 
 @pytest.mark.parametrize(
     "encoding",
-    ["bgr8", "rgb8", "mono16", "yuv422", "yuv422_yuy2", "bayer_rggb16"]
+    ["bgr8", "rgb8", "mono16", "yuv422", "yuv422_yuy2", "nv21", "bayer_rggb16"]
     + [f"bayer_{first}8" for first in ("rggb", "bggr", "gbrg", "grbg")],
 )
 def test_encodings(graph, draw, rng, encoding):
     frame = draw(CENTRE_PX, LABEL, rng, radius=7.9)
     data = packed(frame, encoding)
     msg = image(frame, 1.0)
-    msg.encoding, msg.step, msg.data = encoding, data.nbytes // 480, data.tobytes()
+    msg.encoding, msg.step, msg.data = encoding, data.strides[0], data.tobytes()
     answer = graph.answer(msg)
     assert names(answer) == ["black_1", "grey_1"]
     seen = graph.detector._vision.calibration.to_image(msg_to_parts(answer).position)

@@ -21,6 +21,14 @@ BAYER = {
 }
 """Bayer patterns, named by their first two rows and columns, and OpenCV's demosaicing codes."""
 
+PLANAR = {
+    "nv12": cv2.COLOR_YUV2BGR_NV12,
+    "nv21": cv2.COLOR_YUV2BGR_NV21,
+    "yuv420": cv2.COLOR_YUV2BGR_I420,
+}
+"""Kinds of pixels whose colour follows the brightness, with one colour for 2 x 2 pixels. In `nv12`
+and `nv21`, the two colour values alternate. In `yuv420`, each has a plane (V4L2's YU12)."""
+
 CODES = {
     "mono": None,
     "bgr": None,
@@ -30,6 +38,7 @@ CODES = {
     "yuv422": cv2.COLOR_YUV2BGR_UYVY,
     "yuv422_yuy2": cv2.COLOR_YUV2BGR_YUY2,
     **BAYER,
+    **PLANAR,
 }
 """OpenCV's conversion codes from a kind of pixels to blue, green, red. The code is None if no
 conversion is needed."""
@@ -38,8 +47,9 @@ CHANNELS = {"bgr": 3, "rgb": 3, "bgra": 4, "rgba": 4, "yuv422": 2, "yuv422_yuy2"
 """Number of channels for each kind of pixels with more than one channel."""
 
 ENCODINGS = {
-    **{f"{kind}8": (kind, 1) for kind in CODES if not kind.startswith("yuv")},
-    **{f"{kind}16": (kind, 2) for kind in CODES if not kind.startswith("yuv")},
+    **{f"{kind}8": (kind, 1) for kind in CODES if not kind.startswith(("yuv", "nv"))},
+    **{f"{kind}16": (kind, 2) for kind in CODES if not kind.startswith(("yuv", "nv"))},
+    **{kind: (kind, 1) for kind in PLANAR},
     "yuv422": ("yuv422", 1),
     "uyvy": ("yuv422", 1),
     "yuv422_yuy2": ("yuv422_yuy2", 1),
@@ -106,7 +116,8 @@ def decode(
     encoding : str
         A key of `ENCODINGS`.
     step : int
-        Number of bytes from the start of one row to the start of the next.
+        Number of bytes from the start of one row to the start of the next. With an encoding of
+        `PLANAR`, this refers to the brightness.
     big_endian : bool
         Byte order of 16-bit numbers.
     bits : int
@@ -133,13 +144,19 @@ def decode(
     row = width * channels * size
     if step < row:
         raise ImageError(f"image: step is {step} bytes, allowed: at least {row}")
-    size_bytes = step * height
+    if kind in PLANAR and 2 * len(data) == 3 * width * height:
+        step = width  # no padding; usb_cam publishes the mean number of bytes per row as step
+    size_bytes = step * height * 3 // 2 if kind in PLANAR else step * height
     if not size_bytes <= len(data) < size_bytes + max(PADDING, PADDING_ROWS * step):
         raise ImageError(f"image: data has {len(data)} bytes, allowed: {size_bytes}")
-    if (kind in BAYER or kind.startswith("yuv")) and (width % 2 or height % 2):
+    if kind.startswith(("bayer", "yuv", "nv")) and (width % 2 or height % 2):
         raise ImageError(
             f"image: size is {width} x {height} px, allowed: even numbers with encoding {encoding}"
         )
+    if kind == "yuv420" and step % 2:
+        raise ImageError(f"image: step is {step} bytes, allowed: even numbers with {encoding}")
+    if kind in PLANAR:
+        return to_colour(_planes(data, size_px, kind, step), kind)
     pixels = _rows(data, size_px, encoding, step)
     if size == 2:
         wide = _wide(pixels, big_endian)
@@ -311,6 +328,20 @@ def _rows(
     return rows[:, : width * CHANNELS.get(kind, 1) * size]
 
 
+def _planes(
+    data: bytes | bytearray | memoryview, size_px: tuple[int, int], kind: str, step: int
+) -> np.ndarray:
+    """Return brightness and colour (3 H / 2, W) of an image without padding. `kind` is a key of
+    `PLANAR`. The other arguments are as in `decode`."""
+    width, height = size_px
+    values = np.frombuffer(data, np.uint8, step * height * 3 // 2)
+    parts = 2 if kind == "yuv420" else 1  # planes of colour
+    colour = values[step * height :].reshape(-1, step // parts)[:, : width // parts]
+    return np.vstack(
+        [values[: step * height].reshape(-1, step)[:, :width], colour.reshape(-1, width)]
+    )
+
+
 def _wide(rows: np.ndarray, big_endian: bool) -> np.ndarray:
     """Return the 16-bit numbers (H, n) of rows (H, 2 n) uint8."""
     return np.ascontiguousarray(rows).view(">u2" if big_endian else "<u2")
@@ -340,8 +371,8 @@ def bits_hint(largest: int | None, bits: int) -> str:
     if used >= bits:
         return f"; if the camera uses more than {bits} bits, increase bits" if bits < 16 else ""
     return (
-        f"; the largest of the 16-bit numbers is {largest}: if the camera uses only {used} of the "
-        f"{bits} bits, set the parameter bits to {used}"
+        f"; the largest of the 16-bit numbers is {largest}: if they are no distances (depth image) "
+        f"and the camera uses only {used} of the {bits} bits, set the parameter bits to {used}"
     )
 
 

@@ -23,11 +23,12 @@ def silence_advice(node: Node, topic: str) -> str:
     if node.count_publishers(topic):
         return "check that the camera runs"
     own_topic = node.resolve_topic_name(OWN)
-    found = {
-        name: KINDS[kinds[0]]
+    published = {
+        name: kinds[0]
         for name, kinds in node.get_topic_names_and_types()
-        if kinds[0] in KINDS and name != own_topic and node.count_publishers(name)
+        if name != own_topic and node.count_publishers(name)
     }
+    found = {name: KINDS[kind] for name, kind in published.items() if kind in KINDS}
     is_compressed = topic.endswith(COMPRESSED)
     other = topic.removesuffix(COMPRESSED) if is_compressed else topic + COMPRESSED
     if other in found:
@@ -35,6 +36,14 @@ def silence_advice(node: Node, topic: str) -> str:
             f"no node publishes this topic, but {other} exists: set the detector's parameter "
             f"image_transport to {found[other]}"
         )
+    for name in sorted(published):  # other transports of the same images, such as ffmpeg and theora
+        base, _, transport = name.rpartition("/")
+        if base == topic.removesuffix(COMPRESSED):
+            return (
+                f"no node publishes this topic, but {name} exists: transport is {transport}, "
+                f"allowed: {', '.join(KINDS.values())}; enable one of them in the camera's driver, "
+                "or start republish of the package image_transport"
+            )
     wanted = "compressed" if is_compressed else "raw"
     same = sorted(name for name, kind in found.items() if kind == wanted)
     rest = sorted(name for name in found if name not in same)
