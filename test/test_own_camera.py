@@ -82,6 +82,7 @@ def test_a_film_is_seen_answered_and_sent_but_no_task_is_done(tmp_path):
     assert after.startswith("device, camera, detector, planner, solver, driver.")
     result = json.loads((tmp_path / "out" / "result.json").read_text(encoding="utf-8"))
     assert (result["parts"], result["dropped"]) == (4, 0)
+    assert ", 4 detected at the end; all " in after
     assert result["parts_sorted"] < 4
     assert result["motor_setpoints"] > 0
     assert result["setpoints_within_limits"]

@@ -238,8 +238,10 @@ def _motion_row(result: dict[str, Any]) -> tuple[str, str]:
     used = max(result[f"{name}_share_max"] for name in LIMITS)
     waits = [f"{result[key]} {text}" for key, text in WAITS.items() if result[key]]
     waited = f" {', '.join(waits)} (machine load {result['load']:g})." if waits else ""
-    lost = "dropped" if result["simulated"] else "not detected at the end"
-    return f"{done}, {result['dropped'] or 'none'} {lost}", f" ({100 * used:.0f} % used).{waited}"
+    lost = f"{result['dropped'] or 'none'} dropped"
+    if not result["simulated"]:
+        lost = f"{result['parts'] - result['dropped']} detected at the end"
+    return f"{done}, {lost}", f" ({100 * used:.0f} % used).{waited}"
 
 
 def _feeding_row(result: dict[str, Any]) -> tuple[str, str]:
