@@ -260,11 +260,13 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self._warn(text)
 
     def _log_photograph(self, name: str) -> None:
-        """Log the parts of a photograph, and the objects in it that are rejected as parts."""
+        """Log the parts of a photograph, the objects in it that are rejected as parts, and the
+        deviation of the plate's outline."""
         self.get_logger().info(f"{name}: {found_text(self._tracker)}")
         overlooked = OverlookedTally()
         overlooked.add(*self._part_count_and_overlooked())
-        for found in (overlooked.finding(Expected.of(self._rig)), self._faint):
+        outline = None if self._outline is None else self._outline.finding
+        for found in (overlooked.finding(Expected.of(self._rig)), self._faint, outline):
             if found is not None:
                 self._warn(f"{name}: {found.message}")
 
@@ -514,14 +516,16 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             self._expected = Prediction(request.parts.ids, seconds(msg.start), place)
 
     def _check_outline(self, image: np.ndarray, stamp: float) -> None:
-        """Compare the plate's outline in the first images with the predicted outline. For a plate
-        with markers, the prediction is made from the markers."""
-        before = self._outline
-        if before is None:
+        """Compare the plate's outline in the first images, or in each photograph, with the predicted
+        outline. For a plate with markers, the prediction is made from the markers."""
+        is_photograph, before = self.options.photographs, self._outline
+        if is_photograph:
+            before = OutlineCheck.of(self._rig, self._vision.calibration, images=1)
+        elif before is None:
             before = OutlineCheck.of(self._rig, self._vision.calibration)
         self._outline = before.add(image, stamp, moving=self._is_plate_moving)
         found = self._outline.finding
-        if found is not None and before.finding is None:
+        if found is not None and before.finding is None and not is_photograph:
             self._warn(found.message)
 
     def _count_faint_patches(self, image: np.ndarray, stamp: float) -> None:

@@ -11,6 +11,7 @@ pytest.importorskip("rclpy")
 from detector_graph import CENTRE_PX, LABEL, Graph, image
 from shown_text import says
 
+from plate_core import load_rig
 from plate_core.ros import msg_to_parts
 
 pytestmark = pytest.mark.usefixtures("detector_time")
@@ -37,6 +38,23 @@ def test_photographs_are_taken_each_by_itself(draw, rng):
         assert places[2]["black_1"] == pytest.approx(places[0]["grey_1"], abs=1e-3)
         assert image_notes(graph) == [f"image {k}: 2 parts: 1 black, 1 grey" for k in (1, 2, 3)]
         assert graph.warnings == []
+    finally:
+        graph.close()
+
+
+def test_the_outline_of_each_photograph_is_checked(rng):
+    """The camera was moved between the photographs."""
+    corners = np.array(load_rig().camera.corners_px)
+    graph = Graph(photographs=True)
+    try:
+        for k, shift in enumerate((0.0, 30.0, 0.0)):
+            picture = np.full((480, 640), 60, np.uint8)
+            cv2.fillPoly(picture, [np.round(corners + [0.0, shift]).astype(int)], 200)
+            noisy = np.clip(picture + rng.normal(0, 2, picture.shape), 0, 255)
+            graph.images.publish(image(noisy.astype(np.uint8), 1.0 + k))
+            graph.until(lambda k=k: graph.detector._images == k + 1)
+        (warning,) = [text for text in graph.warnings if "outline" in text]
+        assert says(warning, "image 2: the plate's outline differs", "it is shifted by (0.0, -30.")
     finally:
         graph.close()
 

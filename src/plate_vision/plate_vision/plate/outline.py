@@ -515,6 +515,8 @@ class OutlineCheck:
         Whether the outline has been evaluated.
     agrees : bool
         Whether the outline agreed with the prediction.
+    images : int
+        Number of images of an evaluation.
     """
 
     grid: OutlineGrid
@@ -528,19 +530,21 @@ class OutlineCheck:
     text: str = "not measured yet"
     done: bool = False
     agrees: bool = False
+    images: int = IMAGES
 
     @classmethod
-    def of(cls, rig: Rig, calibration: Calibration) -> OutlineCheck:
+    def of(cls, rig: Rig, calibration: Calibration, images: int = IMAGES) -> OutlineCheck:
         """Start the check for the plate of a rig and a calibration."""
         grid = OutlineGrid.of(rig, calibration)
         marked = rig.fiducials is not None
-        return cls(grid, rig.parts.radius_m, calibration.lens is not None, marked)
+        radius, bends = rig.parts.radius_m, calibration.lens is not None
+        return cls(grid, radius, bends, marked, images=images)
 
     def add(self, image: np.ndarray, stamp: float, moving: bool = False) -> OutlineCheck:
         """Return the check with one more image (H, W) or (H, W, 3) uint8 and its stamp [s]. If
         `moving`, the plate may be away from home in the image.
 
-        After `IMAGES` images the outline is evaluated. The evaluation is repeated at intervals
+        After `images` images the outline is evaluated. The evaluation is repeated at intervals
         until the outline of a plate at rest agrees. No evaluation is repeated while the plate
         moves.
         """
@@ -550,7 +554,7 @@ class OutlineCheck:
             return self
         measured = (*self.measured, measure_outline(image, self.grid))
         check = replace(self, measured=measured, stamp=stamp, moving=self.moving or moving)
-        return check._evaluate(image) if len(measured) >= IMAGES else check
+        return check._evaluate(image) if len(measured) >= self.images else check
 
     @property
     def _recheck_interval_s(self) -> float:
@@ -560,7 +564,7 @@ class OutlineCheck:
         """Return a copy with the result of all images. `image` is the last image."""
         grid = self.grid
         every = np.stack([measurement.edges for measurement in self.measured])
-        often = np.sum(np.isfinite(every[:, :, 0]), axis=0) > IMAGES / 2
+        often = np.sum(np.isfinite(every[:, :, 0]), axis=0) > self.images / 2
         edges, moving = np.full((4, 3), np.nan), self.moving
         for edge in np.flatnonzero(often):
             rows = every[np.isfinite(every[:, edge, 0]), edge]
