@@ -26,6 +26,7 @@ from plate_core.ros import (
     DATA,
     IMAGE,
     LATCHED,
+    PHOTOGRAPHS,
     TRANSFORMS,
     WARN_S,
     SafeLifecycleNode,
@@ -173,11 +174,12 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self._cameras = self.managed_publisher(TFMessage, "/tf_static", LATCHED)
         self._drawings = self.managed_publisher(Image, "detections_image", IMAGE)
         self._markers = self.managed_publisher(MarkerArray, "markers", DATA)
+        images = PHOTOGRAPHS if values.photographs else CAMERA
         if values.image_transport == "raw":
-            self.managed_subscription(Image, "image_raw", self._on_image, CAMERA)
+            self.managed_subscription(Image, "image_raw", self._on_image, images)
         else:
             topic = "image_raw/compressed"
-            self.managed_subscription(CompressedImage, topic, self._on_file, CAMERA)
+            self.managed_subscription(CompressedImage, topic, self._on_file, images)
         if not (values.camera_file or values.photographs):
             self.managed_subscription(CameraInfo, "camera_info", self._on_camera_info, CAMERA)
         self.managed_subscription(PartForces, "part_forces", self._on_forces, DATA)
@@ -516,8 +518,8 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             self._expected = Prediction(request.parts.ids, seconds(msg.start), place)
 
     def _check_outline(self, image: np.ndarray, stamp: float) -> None:
-        """Compare the plate's outline in the first images, or in each photograph, with the predicted
-        outline. For a plate with markers, the prediction is made from the markers."""
+        """Compare the plate's outline in the first images, or in each photograph, with the
+        predicted outline. For a plate with markers, the prediction is made from the markers."""
         is_photograph, before = self.options.photographs, self._outline
         if is_photograph:
             before = OutlineCheck.of(self._rig, self._vision.calibration, images=1)

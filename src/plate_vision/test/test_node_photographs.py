@@ -42,6 +42,19 @@ def test_photographs_are_taken_each_by_itself(draw, rng):
         graph.close()
 
 
+def test_photographs_wait_for_a_slow_detector(draw, rng):
+    """Otherwise the numbers of the detector and of the camera would differ."""
+    graph = Graph(photographs=True)
+    try:
+        picture = draw(CENTRE_PX, LABEL, rng, radius=7.9)
+        graph.answer(image(picture, 1.0, "mono8"))
+        for k in range(12):
+            graph.images.publish(image(picture, 2.0 + k, "mono8"))
+        graph.until(lambda: graph.detector._images == 13)
+    finally:
+        graph.close()
+
+
 def test_the_outline_of_each_photograph_is_checked(rng):
     """The camera was moved between the photographs."""
     corners = np.array(load_rig().camera.corners_px)

@@ -53,7 +53,7 @@ from .lifecycle import WARN_S, NodeOptions, SafeLifecycleNode, start_nodes
 from .main import run_node, run_nodes
 from .markers import centres_to_msg, forces_to_msg, scene_to_msg
 from .params import declare, follow, parameter
-from .qos import CALLS, CAMERA, DATA, IMAGE, LATCHED, NEWEST, RESULT_S, TRANSFORMS
+from .qos import CALLS, CAMERA, DATA, IMAGE, LATCHED, NEWEST, PHOTOGRAPHS, RESULT_S, TRANSFORMS
 from .rclpy_workarounds import UnlockedSubscription, deserialized, end_executor
 
 __all__ = [
@@ -66,6 +66,7 @@ __all__ = [
     "IMAGE",
     "LATCHED",
     "NEWEST",
+    "PHOTOGRAPHS",
     "REFUSED",
     "RESULT_S",
     "TRANSFORMS",

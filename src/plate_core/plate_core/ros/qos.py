@@ -21,6 +21,15 @@ CAMERA = QoSProfile(
 """Profile for subscriptions to images. These subscriptions can connect to reliable and to
 best-effort camera drivers."""
 
+PHOTOGRAPHS = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=100,
+    reliability=ReliabilityPolicy.BEST_EFFORT,
+    durability=DurabilityPolicy.VOLATILE,
+)
+"""Profile for subscriptions to photographs. All photographs are evaluated and numbered, also if the
+receiver is slow."""
+
 DATA = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
     depth=5,
