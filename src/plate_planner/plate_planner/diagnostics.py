@@ -78,6 +78,7 @@ class PlannerDiagnostics:
             "parts_silent_s": f"{inputs.parts.age(now):.2f}",
             "overlooked": str(self._tasks.overlooked.count),
             "image_rate_hz": f"{self._tasks.estimator.image_rate:.1f}",
+            "prediction_error_m": f"{self._tasks.estimator.prediction_error:.6f}",
         }
 
     def reported(self) -> None:

@@ -75,6 +75,10 @@ IN_MOTION_S = 0.1
 """Length of cycles that start from a moving plate [s]. If images are not taken at cycle starts and
 `answer_s` is at least this length, all cycles start from rest."""
 
+MIN_RATIO = 6.0
+"""Minimum ratio of the longest distance of a part from its target to the mean prediction error, at
+which a motion begins before an image shows the result of the last motion [-]."""
+
 MAX_GAP_S = 10.0
 """Maximum difference between the stamps of two consecutive images of a running task [s]. Such a
 long interruption of images would have ended the task. Therefore, a larger difference means that a
@@ -366,10 +370,23 @@ class Planner:
         state, assessment = self._advance_task(state, present)
         request = NOTHING
         going_on = state.task.active and not state.task.held(estimator.stamp, self.limits)
+        going_on &= not self._rests_for_image(state.estimator, assessment)
         if going_on and assessment.request is not None and len(present):
             state, request = self._make_request(state, present, assessment.request)
         progress = self._make_progress(state, present, assessment)
         return replace(state, answer=(request, progress)), request, progress
+
+    def _rests_for_image(self, estimator: Estimator, assessment: Assessment) -> bool:
+        """Whether the plate rests for one cycle, so that the next request is based on an image of
+        resting parts.
+
+        The plate rests if the parts are so close to their targets that the prediction error of one
+        cycle is larger than a fraction 1/`MIN_RATIO` of the longest distance. Otherwise, the parts
+        would move around their targets.
+        """
+        distance = float(np.max(assessment.distance, initial=0.0))
+        near = distance < MIN_RATIO * estimator.prediction_error
+        return self.rules.precise and near and estimator.moves_before_answer
 
     @property
     def _labels(self) -> tuple[str, ...]:

@@ -1,10 +1,12 @@
 """The planner as a whole, with a plant that follows each request one cycle later."""
 
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from plant import RIG, Plant, T, ready, run, without
+from shaking import shaking
 from shown_text import says
 
 from plate_core import Parts, PlateCycle, ScenarioError, part_class
@@ -376,3 +378,27 @@ def test_a_scenario_that_does_not_fit_the_plate_is_refused_at_once():
     small = replace(RIG, plate=replace(RIG.plate, length_m=0.3))
     with pytest.raises(ScenarioError, match=r"\(-0.22, -0.06\) m, .*allowed: \|x\| up to 0.142"):
         Planner(small, load_scenario("follow_2"))
+
+
+@pytest.mark.parametrize("error_m", [0.0, 0.002])
+def test_near_targets_the_plate_rests_after_each_motion_if_predictions_are_wrong(error_m):
+    """Parts are 6 to 8 mm from their places. A motion of the plate displaces all parts by an error
+    that the planner does not predict. Cycles with motion and cycles at rest alternate."""
+    scenario = load_scenario("assemble_8")
+    planner, state = Planner(RIG, scenario, PlannerOptions(image_age_s=0.0)), None
+    number = Counter()
+    ids = [f"{label}_{number.update([label]) or number[label]}" for label in scenario.task.labels]
+    position = np.array(scenario.task.place) + [0.0, 0.006]
+    rests = {True: [], False: []}
+    for k in range(24):
+        moves = k % 2 == 1
+        if not moves:  # the cycle that has ended was a motion
+            position = position + [0.0, error_m * (1 - k % 4)]
+        parts = Parts.make(tuple(ids), position)
+        state = ready(planner, parts) if state is None else state
+        state = planner.started(state, shaking(1e-5) if moves else PlateCycle.rest(T), k * T, True)
+        state, request, progress = planner.plan(state, parts, k * T)
+        assert progress.phase == "running"
+        rests[moves].append(len(request.parts) == 0)
+    assert rests[True][8:] == [error_m > 0] * 4
+    assert not any(rests[False])

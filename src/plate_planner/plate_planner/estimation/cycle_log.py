@@ -370,6 +370,14 @@ class CycleLog:
             return False
         return t < awaited.requested + MAX_AGE_S + awaited.cycle.period
 
+    def moves_between(self, begin: float, end: float) -> bool:
+        """Whether the plate moves between the times `begin` and `end` [s]. Motion during a short
+        part of a cycle (`SNAP`) is not counted, because the times are uncertain."""
+        return any(
+            cycle.moves and b - a > SNAP * cycle.period
+            for cycle, _, a, b in self.between(begin, end)
+        )
+
     def between(self, begin: float, end: float) -> Iterator[tuple[PlateCycle, float, float, float]]:
         """Yield the parts of all runs that are between the times `begin` and `end` [s]. Each item
         contains the cycle, the start time of the cycle [s], and the start and the end of the part

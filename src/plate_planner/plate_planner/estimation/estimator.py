@@ -45,6 +45,9 @@ TRIGGER_TOLERANCE_S = 1e-3
 less, the stamp counts as the time of the camera trigger. In this case, the image was taken at its
 stamp."""
 
+ERROR_GAIN = 0.3
+"""Weight of the newest value in the mean prediction error [-]."""
+
 LATE = 0.01
 """Maximum difference between `Estimator.stamp` and the time for which positions were predicted, as
 a fraction of the prediction horizon (`DriftBias.span`). If the difference is larger, the parts are
@@ -184,7 +187,7 @@ class DriftBias:
         known = row >= 0
         drift, position = np.zeros((len(parts), 2)), parts.position.copy()
         drift[known], position[known] = self.drift[row[known]], self.position[row[known]]
-        if self._has_same_latency(latency) and self._is_prediction_for(t):
+        if self.applies(t, latency):
             new = np.einsum("pij,pj->pi", axes, parts.position - position) / self.span
             new = np.clip(new, -max_error[:, None], max_error[:, None])
             drift += gain * np.where((known & seen)[:, None], new - drift, 0.0)
@@ -201,6 +204,18 @@ class DriftBias:
         """Return the drift errors (M, 2) [m/s] of the parts in the frame plate_home. `axes`
         contains the axes of each part."""
         return np.einsum("pi,pij->pj", self.drift, axes)
+
+    def applies(self, t: float, latency: float | None) -> bool:
+        """Whether the prediction is for the time t [s] and assumes the image latency `latency`
+        [s]."""
+        return self._has_same_latency(latency) and self._is_prediction_for(t)
+
+    def error(self, parts: Parts) -> float:
+        """Return the largest distance of a part from its predicted position [m]. The distance is 0
+        for parts without a prediction."""
+        row = rows_of(parts.ids, self.ids)
+        distance = np.hypot(*(parts.position[row >= 0] - self.position[row[row >= 0]]).T)
+        return float(np.max(distance, initial=0.0))
 
     def _has_same_latency(self, latency: float | None) -> bool:
         if latency is None or self.latency is None:
@@ -296,6 +311,9 @@ class Estimator:
         Parts at the last call of `observe`, and the value of `stamp` at that time [s].
     bias : DriftBias
         Estimated error of the predicted drift.
+    prediction_error : float
+        Moving average of the largest distance of a part from its predicted position, over the
+        cycles in which the plate moved [m].
     """
 
     rig: Rig
@@ -310,6 +328,7 @@ class Estimator:
     before: Parts = NO_PARTS
     before_stamp: float = -np.inf
     bias: DriftBias = field(default_factory=DriftBias)
+    prediction_error: float = 0.0
 
     @classmethod
     def of(cls, rig: Rig, default_period: float, latency: float | None) -> Estimator:
@@ -422,7 +441,7 @@ class Estimator:
         """Return the estimator for a new task: the counts of cycles and the drift error are
         reset."""
         log = replace(self.log, begun=0, unanswered_cycles=0)
-        return replace(self, bias=DriftBias(), log=log)
+        return replace(self, bias=DriftBias(), prediction_error=0.0, log=log)
 
     @property
     def unanswered_problem(self) -> str:
@@ -617,11 +636,25 @@ class Estimator:
         `predicted` (M, 2) [m], which are the positions predicted for the time `next_start`. The
         other parameters are the same as in `DriftBias.update`."""
         seen, latency = rows_of(parts.ids, self.seen.ids) >= 0, self._assumed_latency
+        mean_error = self.prediction_error
+        moved = self.log.moves_between(self.stamp - self.bias.span, self.stamp)
+        if moved and self.bias.applies(self.stamp, latency):
+            error = self.bias.error(parts.take(np.flatnonzero(seen)))
+            mean_error += ERROR_GAIN * (error - mean_error)
         # A prediction over a short time contains less information, so the gain is reduced.
         ahead = min(self.bias.span / self.period, 1.0)
         bias = self.bias.update(parts, seen, self.stamp, latency, axes, gain * ahead, max_error)
         bias = bias.with_prediction(predicted, self._newest_information, self.next_start, latency)
-        return replace(self, bias=bias, before=parts, before_stamp=self.stamp)
+        return replace(
+            self, bias=bias, prediction_error=mean_error, before=parts, before_stamp=self.stamp
+        )
+
+    @property
+    def moves_before_answer(self) -> bool:
+        """Whether the plate moves between the times `stamp` and `next_start`. In this case, the
+        start of the solver's next result must be predicted by the model of the parts' motion."""
+        log = self.log
+        return log.known and log.until_answer.moves_between(self.stamp, self.next_start)
 
     @property
     def _newest_information(self) -> float:

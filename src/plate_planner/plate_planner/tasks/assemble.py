@@ -28,6 +28,11 @@ class Assembler(TaskRules):
         """Time for which all places must contain a part until the task is done [s]."""
         return self.task.hold_s
 
+    @property
+    def precise(self) -> bool:
+        """True."""
+        return True
+
     def assess(self, memory: None, now: Situation) -> tuple[None, Assessment]:
         """Evaluate one image and return the request, see `TaskRules.assess`."""
         distance = self.distance(now.parts)

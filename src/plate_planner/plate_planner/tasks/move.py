@@ -83,6 +83,11 @@ class Mover(TaskRules):
         """Whether the task runs until it is canceled."""
         return self.task.until_canceled
 
+    @property
+    def precise(self) -> bool:
+        """True."""
+        return True
+
     def assess(
         self, memory: MoveMemory | None, now: Situation
     ) -> tuple[MoveMemory | None, Assessment]:

@@ -50,6 +50,11 @@ class Poser(TaskRules):
         """Time for which all parts must be in their poses until the task is done [s]."""
         return self.task.hold_s
 
+    @property
+    def precise(self) -> bool:
+        """True."""
+        return True
+
     def assess(
         self, memory: PoseMemory | None, now: Situation
     ) -> tuple[PoseMemory | None, Assessment]:

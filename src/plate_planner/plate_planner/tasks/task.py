@@ -189,6 +189,12 @@ class TaskRules(Protocol):
         number of parts, and no part counts as missing."""
         return False
 
+    @property
+    def precise(self) -> bool:
+        """Whether each part moves to a position with a small tolerance. In such a task, the plate
+        rests between motions near the targets if predictions are inaccurate."""
+        return False
+
     def keeps_last(self, memory: Any) -> bool:
         """Whether the planner ignores the next image and uses the last detected parts again."""
         return False
