@@ -203,11 +203,12 @@ def test_a_middleware_that_the_wheels_do_not_contain_is_named():
 
 
 @pytest.mark.parametrize("name", ["setup.sh", "cli.sh"])
-def test_a_folder_for_temporary_files_with_a_space_is_not_used_for_messages(tmp_path, name):
+def test_a_folder_for_temporary_files_that_is_missing_or_has_a_space_is_not_used(tmp_path, name):
     script = (ROOT / "tools" / name).read_text()
     (line,) = re.findall(r'^case "\$\{TMPDIR.*', script, re.MULTILINE)
-    for folder in (tmp_path / "temporary", tmp_path / "my files", tmp_path / "für"):
-        folder.mkdir()
+    for folder in map(tmp_path.joinpath, ("temporary", "my files", "für", "missing")):
+        if folder.name != "missing":
+            folder.mkdir()
         done = subprocess.run(
             ["bash", "-c", f'{line}; rmdir "$scratch"; printf %s "$scratch"'],
             env=os.environ | {"TMPDIR": str(folder)}, capture_output=True, text=True, check=True,

@@ -8,7 +8,7 @@ cd -- "$(dirname -- "${BASH_SOURCE[0]}")/.."
 SOURCES=${SOURCES:-https://github.com}
 log="$PWD/log/cli.log"
 # The generators of messages read no path with spaces or other letters than ASCII.
-case "${TMPDIR:-}" in *[!A-Za-z0-9/._-]*) scratch=$(mktemp -d -p /tmp) ;; *) scratch=$(mktemp -d) ;; esac
+case "${TMPDIR:-}" in *[!A-Za-z0-9/._-]*) scratch=$(mktemp -d -p /tmp) ;; *) scratch=$(mktemp -d 2> /dev/null || mktemp -d -p /tmp) ;; esac
 trap 'rm -rf "$scratch"' EXIT
 
 # Branch jazzy of each repository, and the folders of it that are installed

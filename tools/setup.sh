@@ -323,7 +323,7 @@ flock -n 9 || { say "waiting for another set-up of this folder to end"; flock 9;
 mkdir -p log
 touch log/COLCON_IGNORE
 # The generators of messages read no path with spaces or other letters than ASCII.
-case "${TMPDIR:-}" in *[!A-Za-z0-9/._-]*) scratch=$(mktemp -d -p /tmp) ;; *) scratch=$(mktemp -d) ;; esac
+case "${TMPDIR:-}" in *[!A-Za-z0-9/._-]*) scratch=$(mktemp -d -p /tmp) ;; *) scratch=$(mktemp -d 2> /dev/null || mktemp -d -p /tmp) ;; esac
 trap 'end_group "$compiling"; end_group "$telling"; rm -rf "$scratch"; put_back' EXIT
 # These variables of the user's shell change what Python and pip do: they would take other folders' packages for installed.
 unset PYTHONHOME PYTHONWARNINGS

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from dataclasses import dataclass
+from types import SimpleNamespace
 
 import pytest
 
@@ -270,7 +271,10 @@ def test_any_service_that_takes_nothing_can_be_called(graph):
 def test_nobody_is_there(graph, view):
     alone = view("/nowhere")
     for command in ("home", "state", "params", "cancel", "set"):
-        with pytest.raises(PlateError, match="no graph runs in ROS domain") as refused:
+        words = (
+            rf"no graph runs in namespace /nowhere; namespaces .* {graph.node.get_namespace()}[,;]"
+        )
+        with pytest.raises(PlateError, match=words) as refused:
             run_command(alone, command)
         assert "cut the power" not in str(refused.value)  # nothing was to be stopped
     assert int(os.environ.get("ROS_DOMAIN_ID", "0")) in domains_in_use()
@@ -284,7 +288,10 @@ def test_a_domain_is_recommended_only_where_it_can_be_no_other(monkeypatch, othe
     """The next command may be an enable."""
     monkeypatch.setenv("ROS_DOMAIN_ID", "0")
     monkeypatch.setattr("plate_client.ros.services.domains_in_use", lambda: others)
-    assert no_graph_text().endswith(end)
+    node = SimpleNamespace(
+        get_namespace=lambda: "/", get_node_names_and_namespaces=lambda: [("arm", "/")]
+    )
+    assert no_graph_text(node).endswith(end)
 
 
 @pytest.mark.parametrize(

@@ -234,7 +234,7 @@ class Graph(Services):
             self._until(lambda: not self._without_reports(reports), LATE_S)
         missing = self._without_reports(reports)
         if not self._seen() and not self._texts:
-            raise PlateError(no_graph_text())
+            raise PlateError(no_graph_text(self.node))
         lines = [f"{topic}: {self._texts.get(topic, 'no message')}" for topic in topics]
         nodes = {name: f"{status.level.name}, {status.message}" for name, status in reports.items()}
         nodes |= dict.fromkeys(missing, "no message yet: the node is starting, or it hangs")

@@ -194,7 +194,7 @@ class Services:
     def _missing(self, service: str) -> str:
         """Return the reason why the service is missing."""
         running = self._seen()
-        why = f"running nodes: {', '.join(running)}" if running else no_graph_text()
+        why = f"running nodes: {', '.join(running)}" if running else no_graph_text(self.node)
         return f"no service {service}; {why}"
 
     def _find_nodes(self) -> None:
@@ -206,7 +206,7 @@ class Services:
             If no node is discovered.
         """
         if not self._until(lambda: bool(self._seen()), DISCOVERY_S):
-            raise PlateError(no_graph_text())
+            raise PlateError(no_graph_text(self.node))
 
     def _seen(self) -> list[str]:
         """Return the names of the nodes in this namespace."""
@@ -224,9 +224,17 @@ class Services:
         )
 
 
-def no_graph_text() -> str:
-    """Return the error text for the case that no graph is running. The text lists the ROS domains
-    that are in use on this machine."""
+def no_graph_text(node: Node) -> str:
+    """Return the error text for the case that no graph runs in the namespace of `node`. The text
+    lists the other namespaces or, if there are none, the ROS domains in use on this machine."""
+    own_namespace = node.get_namespace()
+    found = node.get_node_names_and_namespaces()
+    namespaces = {where for name, where in found if name != NAME and not name.startswith("_")}
+    if namespaces := namespaces - {own_namespace}:
+        return (
+            f"no graph runs in namespace {own_namespace}; namespaces with nodes: "
+            f"{', '.join(sorted(namespaces))}; to choose one, add --namespace"
+        )
     own_domain = ros_domain(os.environ)
     others = sorted(domains_in_use() - {own_domain})
     text = f"no graph runs in ROS domain {own_domain}"
