@@ -18,6 +18,7 @@ from record.pictures import (
     draw_parts,
     draw_strip,
     draw_task,
+    rectify_images,
     round_number,
     samples,
 )
@@ -156,6 +157,29 @@ def test_cycles_are_counted_by_motor_tables_if_there_is_no_simulator():
     ]
     assert film.running(0.19) is still  # computed during the cycle before
     assert film.running(0.21) is not still
+
+
+def test_the_film_corrects_the_distortion_of_the_lens(dropped):
+    """The rig file contains the corners of the plate as they are in the image."""
+    lens = replace(dropped.rig.camera.lens, distortion=(-0.2, 0.05, 0.001, -0.001, 0.0))
+    rig = replace(dropped.rig, camera=replace(dropped.rig.camera, lens=lens))
+    image = np.full((rig.camera.height_px, rig.camera.width_px), 200, np.uint8)
+    for x, y in np.round(rig.camera.corners_px).astype(int):
+        image[y - 4 : y + 5, x - 4 : x + 5] = 0
+    run = replace(dropped, rig=rig)
+    canvas = FILM.canvas(run)
+    _, (view,), _ = rectify_images(run, canvas, [image])
+    canvas = replace(canvas, pixels=view)
+    assert [at(canvas, corner) for corner in rig.plate.corners] == [(0,)] * 4
+    assert at(canvas, (0.0, 0.0)) == (200,)
+
+
+def test_a_film_with_many_images_is_not_in_slow_motion(dropped, tmp_path):
+    image_time = np.linspace(0, 0.3, 40)
+    film = replace(dropped.film, image_time=image_time, images=dropped.film.images[:1] * 40)
+    assert draw_film(replace(dropped, film=film), tmp_path / "film.gif", "title") == 1.0
+    with Image.open(tmp_path / "film.gif") as drawn:
+        assert drawn.n_frames <= 5  # 0.4 s
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ A picture is a sheet of frames with a title and a legend. A frame shows the plat
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,7 +18,7 @@ from PIL import Image
 
 from plate_core import PlateCycle, Rig, part_class
 from plate_core.colours import FORCE, INK, Colour, class_colour, lab_to_srgb, part_colour
-from plate_core.rig import PartType, homography, to_home
+from plate_core.rig import PartType, to_home
 from plate_core.tasks import (
     AssembleTask,
     FeedTask,
@@ -31,6 +32,7 @@ from plate_core.tasks import (
     region_outline,
 )  # fmt: skip
 from plate_solver import average_force
+from plate_vision import calibrate_by_rig
 
 from .canvas import Canvas, Sample, heading, key
 from .film import Film
@@ -297,7 +299,8 @@ def draw_film(scene: Scene, path: Path, title: str) -> float:
     shown = np.flatnonzero((film.image_time >= -NOW) & (film.image_time <= film.end + NOW))
     if not len(shown):
         return 1.0
-    chosen = shown[np.unique(np.linspace(0, len(shown) - 1, FILM_FRAMES).round().astype(int))]
+    count = min(FILM_FRAMES, math.ceil(FILM_RATE * film.end) + 1)  # no slow motion
+    chosen = shown[np.unique(np.linspace(0, len(shown) - 1, count).round().astype(int))]
     speed = max(1.0, film.end / (len(chosen) / FILM_RATE))
     bare, views, seen = rectify_images(scene, FILM.canvas(scene), [film.images[k] for k in chosen])
     times = film.image_time[chosen]
@@ -471,13 +474,12 @@ def rectify_images(
     parts : list of (H, W)
         True at pixels that show a part, because they differ from `bare` by more than `SAME`.
     """
-    (x, y), scale = canvas.origin, canvas.scale
-    matrix = np.array([[scale, 0, x], [0, -scale, y], [0, 0, 1.0]]) @ np.linalg.inv(
-        homography(scene.rig)
-    )
-    size = canvas.pixels.shape[1::-1]
+    rows, columns = np.indices(canvas.pixels.shape[:2])
+    point = np.stack([columns - canvas.origin[0], canvas.origin[1] - rows], axis=-1) / canvas.scale
+    pixel = calibrate_by_rig(scene.rig).to_image(point.reshape(-1, 2)).reshape(point.shape)
+    x, y = np.moveaxis(pixel.astype(np.float32), -1, 0)
     views = [
-        cv2.warpPerspective(image, matrix, size, borderMode=cv2.BORDER_REPLICATE)
+        cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         for image in images
     ]
     if views[0].ndim == 2:
