@@ -174,6 +174,17 @@ def test_the_film_corrects_the_distortion_of_the_lens(dropped):
     assert at(canvas, (0.0, 0.0)) == (200,)
 
 
+def test_in_a_film_under_a_lamp_that_flickers_only_parts_cover_the_targets(dropped):
+    bright = dropped.film.images[0]
+    dark = (0.85 * bright).astype(np.uint8)
+    dark[230:250, 310:330] = 30  # a part in the middle of the plate
+    canvas = FILM.canvas(dropped)
+    _, _, (empty, _, part) = rectify_images(dropped, canvas, [bright, bright, dark])
+    assert not np.any(empty)
+    assert at(replace(canvas, pixels=part[..., None]), (0.0, 0.0)) == (True,)
+    assert np.mean(part) < 0.01
+
+
 def test_a_film_with_many_images_is_not_in_slow_motion(dropped, tmp_path):
     image_time = np.linspace(0, 0.3, 40)
     film = replace(dropped.film, image_time=image_time, images=dropped.film.images[:1] * 40)

@@ -487,7 +487,10 @@ def rectify_images(
     # convert the colour order from blue, green, red to red, green, blue
     views = [view[..., ::-1] for view in views]
     bare = np.percentile(views[:: max(1, len(views) // 31)], BRIGHT, axis=0).astype(np.uint8)
-    parts = [np.any(cv2.absdiff(view, bare).reshape(view.shape) > SAME, axis=2) for view in views]
+    # lamps can flicker, so compare at equal brightness
+    levels = [float(np.median(bare) / max(np.median(view), 1)) for view in views]
+    even = [cv2.convertScaleAbs(view, alpha=a) for view, a in zip(views, levels, strict=True)]
+    parts = [np.any(cv2.absdiff(view, bare).reshape(bare.shape) > SAME, axis=2) for view in even]
     return np.ascontiguousarray(np.broadcast_to(bare, (*bare.shape[:2], 3))), views, parts
 
 
