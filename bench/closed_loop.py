@@ -59,9 +59,10 @@ def main() -> int:
         work = [(replace(setup, seed=seed), rig, source) for seed in missing]
         with rows, _make_pool(args) if work else nullcontext() as workers:
             code = 1
-            print(f"{args.scenario}, Gamma = {rig.gamma:.1f}, {len(args.seeds)} runs", flush=True)
+            runs = f"{len(args.seeds)} run{'s' if len(args.seeds) > 1 else ''}"
+            print(f"{args.scenario}, Gamma = {rig.gamma:.1f}, {runs}", flush=True)
             if already_run:
-                print(f"{already_run} of these runs are already in {args.json}", flush=True)
+                print(f"{args.json} already contains {already_run} of these runs", flush=True)
             for warning in planner.warnings():
                 print(f"warning: {warning}", flush=True)
             try:

@@ -3,6 +3,7 @@
 import ast
 import json
 import math
+import os
 import subprocess
 import sys
 from itertools import islice
@@ -110,9 +111,10 @@ def test_a_second_call_runs_only_the_missing_seeds(tiny, runs, capsys):
     assert second[0] == first[0]  # with its computing times
     assert without_timings(second) == without_timings(runs[0])
     out = capsys.readouterr().out
-    assert "1 of these runs are already in" in out
+    assert "continued.json already contains 1 of these runs" in out
     assert "seed    3" not in out
     assert tiny(file="continued.json", seeds="4:5") == second
+    assert "Gamma = 40.8, 1 run\n" in capsys.readouterr().out
 
 
 @pytest.fixture
@@ -202,15 +204,19 @@ def test_every_measurement_has_its_name(chapter):
 
 
 def test_a_failing_measurement_is_named_and_the_others_run(monkeypatch, tmp_path, capsys):
-    for name, measure in {"bad": lambda _: 1 / 0, "good": lambda _: Result([])}.items():
+    """Also if its result cannot be written, for example because the disk is full."""
+    (tmp_path / f".unwritten.json.{os.getpid()}").mkdir()  # in place of the temporary file
+    good = lambda _: Result([])  # noqa: E731
+    for name, measure in {"bad": lambda _: 1 / 0, "unwritten": good, "good": good}.items():
         monkeypatch.setitem(sys.modules, f"tasks.{name}", SimpleNamespace(measure=measure))
         monkeypatch.setitem(MEASUREMENTS, name, f"tasks.{name}")
-    monkeypatch.setattr(sys, "argv", ["run.py", "bad", "good", "--out", str(tmp_path)])
+    monkeypatch.setattr(sys, "argv", ["run.py", "bad", "unwritten", "good", "--out", str(tmp_path)])
     assert run.main() == 1
-    assert [file.name for file in tmp_path.iterdir()] == ["good.json"]
+    assert [file.name for file in tmp_path.glob("[!.]*")] == ["good.json"]
     output = capsys.readouterr().err
     assert "ZeroDivisionError" in output
-    assert output.endswith("error: failed measurements: bad\n")
+    assert "unwritten.json: cannot be written" in output
+    assert output.endswith("error: failed measurements: bad, unwritten\n")
 
 
 @pytest.mark.needs("numba")

@@ -71,13 +71,13 @@ def run_all(names: Iterable[str], quick: bool, out: Path, when_idle: bool = Fals
                 await_idle()
             start = time.perf_counter()
             result = module.measure(quick)
+            seconds = time.perf_counter() - start
+            write(out / f"{name}.json", name, about, quick, seconds, code, result)
         except Exception:  # after any error of a measurement, continue with the next measurement
             print("failed", flush=True)
             traceback.print_exc()
             failed.append(name)
             continue
-        seconds = time.perf_counter() - start
-        write(out / f"{name}.json", name, about, quick, seconds, code, result)
         print(f"{seconds:.1f} s", flush=True)
     return failed
 

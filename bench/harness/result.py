@@ -18,6 +18,8 @@ from typing import Any
 import numpy as np
 import yaml
 
+from plate_core.files import draft
+
 ROOT = Path(__file__).resolve().parents[2]
 
 TEXTS: dict[str, Any] = yaml.safe_load(
@@ -150,9 +152,8 @@ def write(
     for table in content["tables"]:
         table["rows"] = [{key: row.get(key) for key in table["columns"]} for row in table["rows"]]
     path.parent.mkdir(parents=True, exist_ok=True)
-    draft = path.with_suffix(".draft")
-    draft.write_text(json.dumps(rounded(content), indent=1) + "\n", encoding="utf-8")
-    draft.replace(path)
+    with draft(path, "result") as file:
+        file.write((json.dumps(rounded(content), indent=1) + "\n").encode())
 
 
 def shown(value: Any) -> str:
