@@ -4,7 +4,11 @@
 evaluates agents.
 """
 
-import gymnasium
+try:
+    import gymnasium
+except ModuleNotFoundError as problem:
+    advice = f"plate_gym requires {problem.name}: pip install gymnasium"
+    raise ModuleNotFoundError(advice, name=problem.name) from None
 
 from .env import PlateEnv, PlateVectorEnv
 from .tasks import TASKS, WORLDS, World

@@ -16,6 +16,7 @@ from concurrent.futures import Executor, ThreadPoolExecutor, as_completed, wait
 from contextlib import nullcontext
 from dataclasses import asdict
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -478,6 +479,11 @@ def evaluate_into_file(args: argparse.Namespace, limits: Limits) -> None:
         pool: Any = nullcontext()
         if args.cluster and any(needed.values()):
             other = module_of(agent) if ":" in agent else ""
+            if other and find_spec(other) is None:
+                raise PlateError(
+                    f"agent is {agent}: no module {other} in this folder ({Path.cwd()}) or on the "
+                    "path"
+                )
             pool = Cluster(args.cluster, modules=("plate_gym",), agent=other)
         with pool as shared:
             evaluate(

@@ -3,6 +3,7 @@
 import copy
 import pickle
 import re
+import subprocess
 import sys
 from dataclasses import fields, replace
 from functools import partial
@@ -27,6 +28,13 @@ def gym():
     import plate_gym
 
     return plate_gym
+
+
+def test_without_gymnasium_the_command_is_named():
+    code = "import sys; sys.modules['gymnasium'] = None; import plate_gym"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.stderr.endswith("plate_gym requires gymnasium: pip install gymnasium\n")
+    assert done.stderr.count("Traceback") == 1
 
 
 def played(env, actions, seed=0):

@@ -550,6 +550,14 @@ def test_the_cluster_is_awaited_only_for_missing_episodes_of_known_tasks(
     assert "task is 'Sort3-v1'" in capsys.readouterr().err
 
 
+def test_a_module_that_does_not_exist_is_named_before_the_cluster(bench, monkeypatch, capsys):
+    words = ["bench", "--cluster", "tcp://x:1", "--agent", "absent:Agent", "--task", "Sort4-v1"]
+    monkeypatch.setattr(sys, "argv", words)
+    monkeypatch.setattr(bench, "Cluster", None)
+    assert bench.main() == 2
+    assert "agent is absent:Agent: no module absent in this folder" in capsys.readouterr().err
+
+
 def test_a_slow_episode_delays_no_other_row(bench, result):
     row, futures = result["tasks"]["Sort4-v1"]["rows"][0], [Future(), Future()]
     pool = Mock(submit=Mock(side_effect=futures))
