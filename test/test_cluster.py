@@ -258,11 +258,15 @@ def test_a_worker_with_other_results_is_refused_by_name(shared, pool, messages):
 
 
 def test_workers_without_a_module_are_refused(shared, messages, tmp_path, monkeypatch):
-    (tmp_path / "only_here.py").touch()
     monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(PlateError, match="all 3 workers are refused"):
+    (tmp_path / "only_here.py").write_text("NAMES = '', " + ", ".join(map(repr, "0123456789")))
+    for k in range(10):
+        (tmp_path / str(k)).touch()
+    with pytest.raises(PlateError, match="all workers are refused"):
         Cluster(shared.address, agent="only_here", report=messages.append)
-    assert sum("file only_here.py is None" in line for line in messages) == 3
+    found = [line for line in messages if "is refused: file 0 is missing (put its folder " in line]
+    assert len(found) == 2  # the third worker also has other variables
+    assert all(line.endswith("; 6 more differences") for line in found)
 
 
 def test_a_worker_that_does_not_answer_is_reported(shared, messages, monkeypatch):
@@ -330,7 +334,28 @@ def test_no_run_is_lost_with_a_connection_that_is_cut(pool, shared, messages):
     cut_connections(shared.address)
     assert numbers(runs) == list(range(12))
     lines = [line.partition(": ")[2] for line in messages if shared.address in line]
-    assert lines == ["connection lost; trying for 60 s", "connected again"]
+    advice = "(if the scheduler has ended, start it and its workers again)"
+    assert lines == [f"connection lost; trying for 60 s {advice}", "connected again"]
+
+
+@pytest.mark.parametrize("progress", [True, False])
+def test_a_connection_that_is_always_cut_ends_the_command(pool, shared, monkeypatch, progress):
+    """A firewall can cut each connection after some bytes. Losses between results do not count
+    together."""
+    monkeypatch.setattr(cluster, "MAX_LOSSES", 2)
+    run = pool.submit(eval, "sum(0 for _ in iter(int, 1))")
+    if progress:
+        for _ in range(3):
+            cut_connections(shared.address)
+            until(lambda: pool._losses)
+            assert numbers(submitted(pool, 1, 0)) == [0]
+        assert not run.done()
+        return
+    until(lambda: cut_connections(shared.address) or run.done())
+    with pytest.raises(PlateError, match="was lost 3 times, and no run ended meanwhile"):
+        run.result(WAIT_S)
+    with pytest.raises(PlateError, match="was lost 3 times"):
+        pool.submit(eval, "0").result(WAIT_S)
 
 
 def test_a_run_is_not_lost_if_the_connection_is_cut_while_its_result_is_transmitted(
@@ -453,13 +478,16 @@ def test_an_error_of_a_run_is_raised_here(pool, place, run, error, words):
     [
         ("tcp://127.0.0.1:1", "ConnectionRefusedError"), ("nowhere", "missing port"),
         ("tcp://[", "ValueError"), ("udp://x:1", "unknown address scheme"),
-        ("tls://127.0.0.1:1", "ConnectionRefusedError"),
+        ("tls://127.0.0.1:1", "ConnectionRefusedError"), ("http://x:1", "unknown address scheme"),
     ],
 )  # fmt: skip
 def test_an_address_without_a_scheduler_is_refused(address, reason):
+    """`dask scheduler` prints two addresses, that of its dashboard last."""
     with pytest.raises(PlateError, match=f"no Dask scheduler answers .*{reason}") as problem:
         Cluster(address)
     assert repr(address) in str(problem.value)
+    assert "after `Scheduler at:`" in str(problem.value)
+    assert "not its dashboard" in str(problem.value)
 
 
 @pytest.mark.parametrize("first", ["caller", "thread"])

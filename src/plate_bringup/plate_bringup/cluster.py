@@ -32,12 +32,19 @@ __all__ = ["Cluster"]
 INSTALL = "pip install 'distributed==2026.8.0'"
 """Command that installs Dask, in the version of requirements-test.txt."""
 
+ADDRESS = "the address after `Scheduler at:` in the output of `dask scheduler` (not its dashboard)"
+"""Text that says which addresses are allowed."""
+
 CONNECT_S = 5.0
 """Maximum time in which the scheduler must answer [s]."""
 
 RETURN_S = 60.0
 """Maximum time for which the connection to the scheduler may be lost, and for which a connected
 scheduler may not answer [s]."""
+
+MAX_LOSSES = 10
+"""Maximum number of losses of the connection between two results. A firewall, for example, can cut
+each connection after some bytes."""
 
 POLL_S = 0.5
 """Interval between two searches for new workers [s]."""
@@ -50,6 +57,9 @@ STOP_S = 5.0
 
 WATCH_S = 0.5
 """Interval in which a worker checks whether its run was canceled [s]."""
+
+SHOWN = 5
+"""Maximum number of differences that the message on a refused worker lists."""
 
 AHEAD = 1000
 """Maximum number of unfinished runs in the memory of the scheduler. Further runs wait in this
@@ -90,8 +100,8 @@ class Cluster(Executor):
     PlateError
         If Dask is missing, if the scheduler does not answer or has another version, or if all
         workers are refused, because their versions or code differ from this process. A run raises a
-        PlateError if the connection is lost for more than `RETURN_S`, if Dask cannot execute the
-        run, or if its result cannot be read here.
+        PlateError if the connection is lost for more than `RETURN_S` or again and again, if Dask
+        cannot execute the run, or if its result cannot be read here.
     """
 
     def __init__(
@@ -117,6 +127,7 @@ class Cluster(Executor):
         self._paused: set[str] = set()
         self._lock = threading.Lock()  # held while a run is submitted, or the client is replaced
         self._ending, self._failed, self._waits = threading.Event(), "", False
+        self._losses = 0
         try:
             self._await_workers()
         except BaseException:
@@ -180,6 +191,7 @@ class Cluster(Executor):
                     self._release_run(result)
                 try:
                     _deliver(result, await run)
+                    self._losses = 0
                 except BaseException as problem:
                     if run.status == "error":
                         text = f"cluster {self._address}: Dask could not execute a run: "
@@ -204,8 +216,10 @@ class Cluster(Executor):
         if (run := self._sent.pop(result, None)) is not None and not run.done():
             run.client.loop.add_callback(run.cancel)
 
-    def _fail_runs(self) -> None:
-        """End all runs, because the connection is closed."""
+    def _fail(self, reason: str) -> None:
+        """End all runs, and refuse further ones, because the connection is closed."""
+        with self._lock:
+            self._failed = f"cluster {self._address}: {reason}"
         for result in list(self._calls):
             _set(result, None, PlateError(self._failed))
 
@@ -220,8 +234,15 @@ class Cluster(Executor):
 
     def _connect_again(self) -> bool:
         """Replace the client, and send all unfinished runs again. Return False if the scheduler
-        does not answer within `RETURN_S`, or during `shutdown`."""
-        self._tell(f"cluster {self._address}: connection lost; trying for {RETURN_S:g} s")
+        does not answer within `RETURN_S`, after `MAX_LOSSES`, or during `shutdown`."""
+        self._losses += 1
+        if self._losses > MAX_LOSSES:
+            self._fail(f"the connection was lost {self._losses} times, and no run ended meanwhile")
+            return False
+        self._tell(
+            f"cluster {self._address}: connection lost; trying for {RETURN_S:g} s (if the "
+            "scheduler has ended, start it and its workers again)"
+        )
         _close(self._client)
         end, reason = time.monotonic() + RETURN_S, ""
         while time.monotonic() < end and not self._ending.wait(POLL_S):
@@ -240,9 +261,7 @@ class Cluster(Executor):
                     self._begin(result)
             self._tell(f"cluster {self._address}: connected again")
             return True
-        with self._lock:
-            self._failed = f"cluster {self._address}: no connection for {RETURN_S:g} s{reason}"
-        self._fail_runs()
+        self._fail(f"no connection for {RETURN_S:g} s{reason}")
         return False
 
     def _tell(self, text: str) -> None:
@@ -262,7 +281,7 @@ class Cluster(Executor):
             if accepted or not count:
                 return
             if self._waits:
-                raise PlateError(f"cluster {self._address}: all {count} workers are refused")
+                raise PlateError(f"cluster {self._address}: all workers are refused")
             self._ending.wait(POLL_S)
         self._tell(f"waiting for workers; their comparison takes more than {FIRST_S:g} s")
 
@@ -291,7 +310,7 @@ class Cluster(Executor):
             self._waits = waits
             if waits:
                 advice = f"start one: dask worker {self._address} --nthreads 1"
-                refused = f"all {len(workers)} are refused" if workers else advice
+                refused = "all are refused" if workers else advice
                 self._tell(f"waiting for workers; {refused}")
         return len(workers), len(accepted)
 
@@ -326,7 +345,8 @@ class Cluster(Executor):
         if isinstance(found, BaseException):
             found = [_error_text(found)]
         if found:
-            self._refusals[name] = "; ".join(found)
+            more = f"; {len(found) - SHOWN} more differences" if len(found) > SHOWN else ""
+            self._refusals[name] = "; ".join(found[:SHOWN]) + more
             self._tell(f"worker {name} is refused: {self._refusals[name]}")
 
 
@@ -348,8 +368,7 @@ def _connect(address: str) -> Any:
         kind, scheduler_version = _query_within_limit(address)
         if kind != "Scheduler":
             raise PlateError(
-                f"cluster is {address!r}, which is the address of a {kind}, allowed: the address "
-                "that `dask scheduler` prints"
+                f"cluster is {address!r}, which is the address of a {kind}, allowed: {ADDRESS}"
             )
         if scheduler_version != distributed.__version__:
             raise PlateError(
@@ -367,7 +386,7 @@ def _connect(address: str) -> Any:
     except Exception as problem:
         raise PlateError(
             f"cluster is {address!r}, where no Dask scheduler answers ({_error_text(problem)}), "
-            "allowed: the address that `dask scheduler` prints"
+            f"allowed: {ADDRESS}"
         ) from problem
     # Dask's client sometimes does not connect again. Then it stays in this state forever. Therefore
     # it closes if its connection is lost, and `Cluster` replaces it.

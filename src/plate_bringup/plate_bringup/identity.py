@@ -60,11 +60,13 @@ features give identical results."""
 def differences(expected: dict[str, str], found: dict[str, str]) -> list[str]:
     """Return a text for each fact that differs between two processes. The facts are those of
     `facts`."""
-    return [
-        f"{name} is {found.get(name)!r}, allowed: {expected.get(name)!r}"
-        for name in expected | found
-        if expected.get(name) != found.get(name)
-    ]
+    texts = []
+    for name in expected | found:
+        if name.startswith("file ") and name not in found:
+            texts.append(f"{name} is missing (put its folder into PYTHONPATH)")
+        elif expected.get(name) != found.get(name):
+            texts.append(f"{name} is {found.get(name)!r}, allowed: {expected.get(name)!r}")
+    return texts
 
 
 @lru_cache
