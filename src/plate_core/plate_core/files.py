@@ -202,10 +202,12 @@ class OwnFile:
             with open(descriptor, "w", encoding="utf-8", closefd=False) as file:
                 file.write(text)
             self._draft.replace(self._target)
-        except BaseException:  # BaseException includes KeyboardInterrupt
+        except BaseException as problem:  # BaseException includes KeyboardInterrupt
             os.close(descriptor)
             with contextlib.suppress(OSError):
                 self._draft.unlink()
+            if isinstance(problem, OSError):  # name the file, for example if the disk is full
+                problem.filename = str(self._path)
             raise
         os.close(self._descriptor)
         self._descriptor, self._is_new = descriptor, False

@@ -3,6 +3,8 @@
 import contextlib
 import os
 import socket
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -206,6 +208,20 @@ def test_a_written_file_keeps_its_permissions(tmp_path):
     with draft(path, "rows") as file:
         file.write(b"2")
     assert (path.read_text(), path.stat().st_mode & 0o777) == ("2", 0o600)
+
+
+def test_a_full_disk_is_named_with_the_file(tmp_path):
+    """A process whose files may have 100 bytes stands for a full disk."""
+    path = tmp_path / "rows.json"
+    code = (
+        "import resource, sys; from plate_core.files import OwnFile; "
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100)); "
+        "OwnFile(sys.argv[1]).write('a' * 200)"
+    )
+    words = [sys.executable, "-c", code, str(path)]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert done.stderr.endswith(f"File too large: '{path}'\n")
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_write_that_fails_leaves_the_file_and_keeps_no_lock(tmp_path):

@@ -207,11 +207,18 @@ def episodes(
     # Threads are sufficient here, because each thread only waits for the process of an episode.
     shared = nullcontext(pool) if pool is not None else ThreadPoolExecutor(workers)
     with shared as threads:
-        found = [threads.submit(isolated, agent, world, task, seed, limits) for seed in seeds]
+        found = {threads.submit(isolated, agent, world, task, seed, limits): seed for seed in seeds}
         try:
             show(f"{task}: 0 of {len(seeds)}")
             for number, future in enumerate(as_completed(found), 1):
-                done = future.result()
+                try:
+                    done = future.result()
+                except PlateError as problem:
+                    if str(problem).startswith(f"agent {agent}"):
+                        raise
+                    # a cluster does not know the episode whose agent has ended its workers
+                    where = f"agent {agent}, {task}, seed {found[future]}"
+                    raise PlateError(f"{where}: {problem}") from problem
                 show(f"{task}: {number} of {len(seeds)}")
                 if failure := done.get("failure"):
                     show("")

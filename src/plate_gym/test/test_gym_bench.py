@@ -558,6 +558,15 @@ def test_a_module_that_does_not_exist_is_named_before_the_cluster(bench, monkeyp
     assert "agent is absent:Agent: no module absent in this folder" in capsys.readouterr().err
 
 
+def test_an_episode_that_ends_its_workers_is_named(bench):
+    futures = [Future(), Future()]
+    futures[0].set_result({})
+    futures[1].set_exception(PlateError("several workers ended"))
+    pool = Mock(submit=Mock(side_effect=futures))
+    with pytest.raises(PlateError, match=r"^agent A, Sort4-v1, seed 8: several workers ended$"):
+        list(bench.episodes("A", "nominal", "Sort4-v1", [7, 8], 0, pool=pool))
+
+
 def test_a_slow_episode_delays_no_other_row(bench, result):
     row, futures = result["tasks"]["Sort4-v1"]["rows"][0], [Future(), Future()]
     pool = Mock(submit=Mock(side_effect=futures))
