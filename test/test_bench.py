@@ -247,7 +247,7 @@ def test_all_stages_are_timed_although_cycles_begin_in_motion():
 
     scenario, rig = sorting_scenario(2), load_rig()
     moments = list(islice(loop(Setup(scenario, effort={"restarts": 2}), rig), FIRST + 3))
-    assert not all(moment.answer.cycle.starts_at_rest for moment in moments)
+    assert not all(moment.result.cycle.starts_at_rest for moment in moments)
     row = stages_row(rig, scenario, moments)
     assert all(row[name] > 0 for name in STAGES)
     assert row["answer"] == sum(row[name] for name in ("vision", "planner", "solver", "driver"))

@@ -286,8 +286,8 @@ def test_a_setpoint_too_far_from_the_last_is_not_commanded(tmp_path):
     command = ["cc", "-Dmain=desk", f"-I{FIRMWARE}", f"-I{FIRMWARE}/host", "-o", program]
     subprocess.run([*command, program.with_suffix(".c"), *others, *desk, "-lm"], check=True)
     step, change = SPEED * SLACK * 1e-3 + STEP_M, ACCEL * 1.1e-3 + 4e-3
-    shares = np.array([0.999, 1.001, -0.999, -1.001, np.nan])
-    rows = [*np.outer(shares * step, [1, 0]), *np.outer(shares * change, [0, 1])]
+    fractions = np.array([0.999, 1.001, -0.999, -1.001, np.nan])
+    rows = [*np.outer(fractions * step, [1, 0]), *np.outer(fractions * change, [0, 1])]
     text = "\n".join(f"{q} {v}" for q, v in np.nan_to_num(rows, nan=np.nan))
     done = subprocess.run([program], input=text, capture_output=True, text=True, check=True)
     assert done.stdout == 2 * "10100"

@@ -46,14 +46,14 @@ LIFT, TURN = (0.0, 0.0, 1.0, 1.0), (1.0, -1.0, 0.0, 0.0)
 
 
 def swing(
-    size: float, period: float, share: tuple[float, ...], pieces: int = 40
+    size: float, period: float, fraction: tuple[float, ...], pieces: int = 40
 ) -> tuple[Knot, ...]:
     """size (1 - cos)/w^2 [m]: accelerations up to `size` [m/s2], times a share for each motor."""
     t = np.linspace(0, period, pieces + 1)
     w = 2 * np.pi / period
     states = np.stack([(1 - np.cos(w * t)) / w**2, np.sin(w * t) / w, np.cos(w * t)], axis=1)
     states[[0, -1], :2] = 0
-    rows = np.float32(size * states[:, :, None] * np.array(share)).tolist()
+    rows = np.float32(size * states[:, :, None] * np.array(fraction)).tolist()
     ticks = np.round(t * 1e8).astype(int).tolist()
     return tuple(Knot(k, *map(tuple, row)) for k, row in zip(ticks, rows, strict=True))
 
@@ -123,9 +123,9 @@ def drawn_orders(rng: np.random.Generator) -> list[bytes | float | str]:
         orders.append(say(199, Trigger(int(rng.integers(2**16)), int(rng.integers(9)))))
     number, beat, stops = 200, say(1, Heartbeat(7)), 0
     kinds = ("limits", "simple", "fault", "silence", "late", "jam", "enable", "stream", "reset")
-    shares = (0.38, 0.17, 0.05, 0.05, 0.08, 0.04, 0.13, 0.07, 0.03)
+    fractions = (0.38, 0.17, 0.05, 0.05, 0.08, 0.04, 0.13, 0.07, 0.03)
     for _ in range(int(rng.integers(5, 25))):
-        kind, number = str(rng.choice(kinds, p=shares)), number + int(rng.integers(1, 30))
+        kind, number = str(rng.choice(kinds, p=fractions)), number + int(rng.integers(1, 30))
         if kind == "limits":
             phase = float(rng.uniform(0, 7)) if rng.random() < 0.3 else 0.0
             knots = near_limits(rng, wave(float(rng.uniform(0, 0.0115)), phase))
@@ -214,9 +214,9 @@ def test_the_simulator_keeps_the_limits_for_all_requests(program):
 def scaled(knots: tuple[Knot, ...], peak: float) -> tuple[Knot, ...]:
     """Knots of which the spline's acceleration has a peak [m/s2]."""
     t = np.linspace(0, knots[-1].ticks * 1e-8, 20_001)
-    share = peak / np.max(np.abs(spline(knots)(t, nu=2)))
+    fraction = peak / np.max(np.abs(spline(knots)(t, nu=2)))
     return tuple(
-        Knot(k.ticks, *(tuple(np.float32(share * np.array(x)).tolist()) for x in states))
+        Knot(k.ticks, *(tuple(np.float32(fraction * np.array(x)).tolist()) for x in states))
         for k in knots
         for states in [(k.position, k.velocity, k.acceleration)]
     )

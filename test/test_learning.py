@@ -80,11 +80,11 @@ def test_commands_begin_at_rest_and_keep_the_limits(learned):
     for seed in range(3):
         cycle = random_cycle(seed).scaled(10)
         assert response.command(cycle).starts_at_rest
-        table, fit = prepare(RIG, cycle, 0, correction=response.command)
+        table, scaled = prepare(RIG, cycle, 0, correction=response.command)
         assert np.max(np.abs(table.q)) <= RIG.limits.stroke_m
-        assert fit.factor < 1
+        assert scaled.factor < 1
         np.testing.assert_allclose(
-            table.cycle.knot_pose, response.command(fit.cycle).knot_pose, atol=2e-6
+            table.cycle.knot_pose, response.command(scaled.cycle).knot_pose, atol=2e-6
         )
 
 

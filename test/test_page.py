@@ -104,10 +104,10 @@ def test_a_part_comes_to_where_its_target_is_dragged(url):
         await browser.until(lambda newest: "parts" in newest and "driver" in newest)
         start = browser.part("black_1")
         x, y = -start["x"] / 2, -start["y"] / 2
-        for share in (0.2, 0.5, 1.0):
-            here = {"id": "black_1", "x": start["x"] + share * (x - start["x"]),
-                    "y": start["y"] + share * (y - start["y"]), "angle": None}  # fmt: skip
-            answer = await browser.ask("move", targets=[here], dragging=share < 1)
+        for fraction in (0.2, 0.5, 1.0):
+            here = {"id": "black_1", "x": start["x"] + fraction * (x - start["x"]),
+                    "y": start["y"] + fraction * (y - start["y"]), "angle": None}  # fmt: skip
+            answer = await browser.ask("move", targets=[here], dragging=fraction < 1)
             assert answer["ok"], answer
         await browser.until(lambda newest: distance(browser.part("black_1"), x, y) < 0.002)
         await browser.until(lambda newest: newest.get("targets", {}).get("targets"))

@@ -251,8 +251,8 @@ def test_a_stream_has_no_splice(device):
     assert done.answers()[110] is Status.WRONG_TIMES
 
 
-@pytest.mark.parametrize(("part", "share"), [("cycle", 1.0), ("tail", 0.5)])
-def test_motors_bear_the_cycle_alone_and_all_of_it(device, part, share):
+@pytest.mark.parametrize(("part", "fraction"), [("cycle", 1.0), ("tail", 0.5)])
+def test_motors_bear_the_cycle_alone_and_all_of_it(device, part, fraction):
     """Two motors lift 2 kg: 1 N for each m/s2. Travel a (1 - cos wt)^2 has accelerations
     2 a w^2 (cos wt - cos 2wt), whose mean square is (2 a w^2)^2."""
     t, mean = np.linspace(0, 0.05, 41), 48.0
@@ -267,7 +267,7 @@ def test_motors_bear_the_cycle_alone_and_all_of_it(device, part, share):
     knots = rests + moves if part == "tail" else moves + rests
     data, [commit] = sent([Spliced(knots, 5_000_000)])
     for room, status in ((0.99, Status.LIMIT), (1.01, Status.DONE)):
-        bears = f"{room * mean * share**0.5}"
+        bears = f"{room * mean * fraction**0.5}"
         done = parse_run(device(ordered(*READY, data[0], 0.05), "60", bears))
         assert done.answers()[commit] is status
 

@@ -82,7 +82,7 @@ class Line:
         self.timeline = self.timeline.send(cycle)
 
     def step(self, faults=Faults()):
-        drawn = {name: self.rng.random() < share for name, share in vars(faults).items()}
+        drawn = {name: self.rng.random() < fraction for name, fraction in vars(faults).items()}
         if self.on_its_way is not None:
             self.take(self.on_its_way)
             self.on_its_way = None
@@ -102,7 +102,7 @@ class Line:
         world = self.simulation.state
         parts = Parts.make(world.ids, world.position, world.velocity)
         self.state, request, self.progress = self.planner.plan(self.state, parts, self.now)
-        cycle = self.controller.answer(request, self.running).cycle
+        cycle = self.controller.solve(request, self.running).cycle
         if drawn["lost"]:
             return
         late = drawn["late"]
@@ -148,12 +148,14 @@ def test_with_each_fault_the_task_goes_on(name):
 @pytest.mark.parametrize("seed", range(3))
 def test_after_any_faults_it_goes_on_after_a_tail_and_a_rest(seed):
     line = Line(seed)
-    shares = dict(zip(vars(Faults()), np.random.default_rng(seed).uniform(0, 0.5, 7), strict=True))
-    shares["unseen"] /= 3
+    fractions = dict(
+        zip(vars(Faults()), np.random.default_rng(seed).uniform(0, 0.5, 7), strict=True)
+    )
+    fractions["unseen"] /= 3
     while len(line.played) < CYCLES and not line.progress_ended:
         for _ in range(12):
             if not line.progress_ended:
-                line.step(Faults(**shares))
+                line.step(Faults(**fractions))
         begin = len(line.played)
         for _ in range(8):
             if not line.progress_ended and line.state.task.active:
@@ -210,4 +212,4 @@ def test_clocks_that_are_set_cost_a_tail_and_a_rest(put):
 @pytest.mark.parametrize(("scenario", "rests"), [("sort_10", False), ("sort_50", True)])
 def test_a_crowd_is_moved_from_rest_to_rest(scenario, rests):
     moments = islice(run(Setup(scenario, effort={"iterations": 2, "restarts": 0})), 8)
-    assert all(moment.answer.cycle.closes for moment in moments) == rests
+    assert all(moment.result.cycle.closes for moment in moments) == rests

@@ -38,10 +38,10 @@ def test_harmonics_serve_as_many_parts_as_they_have_numbers(rig, number):
     max_parts = harmonics.max_parts(number)
     # For one part too many 100 are enough: they solve half of the requests for `max_parts` parts.
     cases = [(max_parts - 1, 250), (max_parts, 250), (max_parts + 1, 100)]
-    share = [harmonics.solved_fraction(rig, m, number, 8, restarts) for m, restarts in cases]
-    assert share[0] >= 0.6
-    assert share[1] > 0
-    assert share[2] == 0
+    fraction = [harmonics.solved_fraction(rig, m, number, 8, restarts) for m, restarts in cases]
+    assert fraction[0] >= 0.6
+    assert fraction[1] > 0
+    assert fraction[2] == 0
 
 
 def test_one_harmonic_moves_no_part(rig):

@@ -37,10 +37,10 @@ def test_parts_are_sorted_within_force_and_heat(method, effort):
     moments = []
     for moment in run(Setup(with_few("sort_4"), 3, method, effort=effort), rig):
         moments.append(moment)
-        force = forces(rig, moment.answer.cycle)
+        force = forces(rig, moment.result.cycle)
         max_force = max(max_force, float(np.max(np.abs(force))))
         load = np.mean(force**2, axis=0) / continuous**2
-        warm = load + (warm - load) * np.exp(-moment.answer.cycle.period / limits.thermal_time_s)
+        warm = load + (warm - load) * np.exp(-moment.result.cycle.period / limits.thermal_time_s)
         assert np.max(warm) <= 1
         assert not moment.scaled, "the solver knew better than the driver"
     assert 0.8 * peak < max_force <= peak

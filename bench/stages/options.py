@@ -131,7 +131,7 @@ def make_contestants(rig: Rig, parts: int) -> dict[tuple[str, str], Contestant]:
     for restarts in SCIPY_RESTARTS:
         for own_derivatives, derivatives in ((True, "own differences"), (False, "our derivatives")):
             search = ScipySearch(rig, parts, own_derivatives, restarts)
-            found[f"scipy, {derivatives}", f"{restarts} restarts"] = search.answer
+            found[f"scipy, {derivatives}", f"{restarts} restarts"] = search.solve
     return found
 
 
@@ -176,7 +176,7 @@ class ScipySearch:
         self._motions = Motions.of(self._family.basis, limits)
         self._own, self._restarts = own, restarts
 
-    def answer(self, goal: Goal) -> PlateCycle:
+    def solve(self, goal: Goal) -> PlateCycle:
         """Return the best motion of all starts, within the limits."""
         rng = np.random.default_rng(0)
         _, good = tolerances(goal)

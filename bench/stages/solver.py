@@ -79,15 +79,15 @@ def solve_all(rig: Rig, parts: int, count: int) -> list[dict[str, Any]]:
         for method, solver in ((PROJECT, ours), (BASELINE, baseline), (ROTATIONS, rotations)):
             if method == ROTATIONS and index and index % ROTATION_STRIDE != 1:
                 continue
-            answer, seconds = timed(solver.solve, position, force)
+            result, seconds = timed(solver.solve, position, force)
             if not index:  # do not count the first request, because it includes the warm-up
                 continue
             t = (np.arange(CHECK_SAMPLES) + 0.5) / CHECK_SAMPLES
-            if isinstance(answer, np.ndarray):
+            if isinstance(result, np.ndarray):
                 basis = sinusoid_basis(number, period, False, CHECK_SAMPLES)
-                twist = basis.twist @ baseline.family.coefficients(answer)
+                twist = basis.twist @ baseline.family.coefficients(result)
             else:
-                twist = answer.cycle.twist(t * answer.cycle.period)
+                twist = result.cycle.twist(t * result.cycle.period)
             still, equal = np.zeros_like(position), np.ones(CHECK_SAMPLES)
             got = step_forces(position, still, twist, equal)[:, :2]
             samples.append(

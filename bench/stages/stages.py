@@ -65,16 +65,16 @@ def stages_row(rig: Rig, scenario: Scenario, moments: list[Moment]) -> dict[str,
         run_stage("camera", camera.render, world.position, grey, rng, world.velocity)
         tracker = run_stage("vision", observe, vision, tracker, moment.image, moment.time)
         state, _, _ = run_stage("planner", planner.plan, state, tracker.parts, moment.time)
-        answer = run_stage("solver", controller.answer, moment.request, running)
-        run_stage("driver", prepare, rig, answer.cycle, now, before=(running,))
+        result = run_stage("solver", controller.solve, moment.request, running)
+        run_stage("driver", prepare, rig, result.cycle, now, before=(running,))
         run_stage("simulator", run_cycle, world, running, rig)
         # The recorded inputs of the next cycle belong to the cycle that the control loop has
         # played. Therefore continue with this cycle.
-        running = prepare(rig, moment.answer.cycle, now, before=(running,))[0].cycle
+        running = prepare(rig, moment.result.cycle, now, before=(running,))[0].cycle
     medians = {name: 1e3 * float(np.median(seconds[name][FIRST:])) for name in STAGES}
     return {
         "parts": len(grey),
         **medians,
         "answer": sum(medians[name] for name in ("vision", "planner", "solver", "driver")),
-        "period": 1e3 * float(np.median([m.answer.cycle.period for m in moments[FIRST:]])),
+        "period": 1e3 * float(np.median([m.result.cycle.period for m in moments[FIRST:]])),
     }

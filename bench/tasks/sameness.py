@@ -113,7 +113,7 @@ def run_trace(scenario: str, seed: int) -> list[str]:
 
 def made(moment: Moment) -> Iterator[list[np.ndarray]]:
     """Yield the output of each stage in `PIECES`."""
-    world, parts, request, cycle = moment.world, moment.parts, moment.request, moment.answer.cycle
+    world, parts, request, cycle = moment.world, moment.parts, moment.request, moment.result.cycle
     forces, start = request.forces, [] if request.start is None else [request.start]
     yield [world.position, world.angle]
     yield [moment.image]

@@ -177,7 +177,7 @@ static bool is_crooked(void)
 {
     float sum = 0;
     for (int m = 0; m < MOTORS; m++)
-        sum += drives[m].fit * off_m(m);
+        sum += drives[m].weight * off_m(m);
     return limits->following_m > 0 && fabsf(sum) > limits->following_m;
 }
 

@@ -13,7 +13,7 @@ typedef struct {
     float sign;         /* 1, or -1 if the drive counts against the motor's direction */
     bool absolute;      /* home is position 0 of the drive; if false, the position at the first enable */
     uint32_t serial;    /* object 1018h:04; 0: any */
-    float fit;          /* weight of the motor: the weighted sum of all travels is 0 for a rigid plate */
+    float weight;       /* weight of the motor: the weighted sum of all travels is 0 for a rigid plate */
 } Drive;
 
 /* Start the drives. The memory of `limits` must remain valid. */

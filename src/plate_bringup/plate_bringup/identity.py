@@ -313,7 +313,7 @@ def _first_cycles_digest() -> str:
     mark = hashlib.blake2b(digest_size=8)
     for method in dict.fromkeys(METHODS.values()):
         for moment in islice(run(Setup(TRIAL, method=method)), TRIAL_CYCLES):
-            cycle = moment.answer.cycle
+            cycle = moment.result.cycle
             for knots in (cycle.times, cycle.knot_pose, cycle.knot_twist, cycle.knot_accel):
                 mark.update(knots.tobytes())
             mark.update(moment.world.position.tobytes())

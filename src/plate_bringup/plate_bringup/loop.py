@@ -52,7 +52,7 @@ from plate_planner.tasks import FeedReport
 from plate_sim.camera import NOISE
 from plate_sim.plate import PlateMotion
 from plate_sim.world import NONE, WORLD_RANGES, Disturbances, Shot, Simulation, WorldState
-from plate_solver import METHODS, Answer, Controller
+from plate_solver import METHODS, Controller, CycleResult
 from plate_vision import Prediction, Tracker, make_vision, observe
 from plate_vision.bare_plate import BARE_IMAGES, BarePlate, know_plate
 
@@ -250,7 +250,7 @@ class Moment:
         Detected parts.
     request : CycleRequest
         Request to the solver.
-    answer : Answer
+    result : CycleResult
         Result of the solver, with the cycle that is executed next.
     progress : Progress
     image : (H, W)
@@ -279,7 +279,7 @@ class Moment:
     world: WorldState
     parts: Parts
     request: CycleRequest
-    answer: Answer
+    result: CycleResult
     progress: Progress
     image: np.ndarray
     solve_s: float
@@ -487,8 +487,8 @@ def run(
     while True:
         loop.record_cycle_start()
         new_image = loop.process_image()
-        if loop.must_answer(new_image):
-            moment = loop.answer()
+        if loop.is_cycle_due(new_image):
+            moment = loop.send_cycle()
             yield moment
             if moment.progress.ended:
                 return
@@ -500,7 +500,7 @@ class _Loop:
 
     A step consists of four parts, in the order in which `run` calls them. `record_cycle_start`
     informs the planner if a cycle has started. `process_image` takes an image and detects the
-    parts. `answer` computes and sends the next cycle. `advance` moves the plate and the parts.
+    parts. `send_cycle` computes and sends the next cycle. `advance` moves the plate and the parts.
     """
 
     def __init__(
@@ -569,34 +569,34 @@ class _Loop:
         self._state = self._planner.see(self._state, self._parts, stamp)
         return True
 
-    def must_answer(self, new_image: bool) -> bool:
+    def is_cycle_due(self, new_image: bool) -> bool:
         """Return whether the next cycle must be computed now."""
         due = new_image if self._shot is None else self._state.due <= self._line.now
         return due and self._image is not None
 
-    def answer(self) -> Moment:
+    def send_cycle(self) -> Moment:
         """Compute the next cycle, and send it."""
         line, rig = self._line, self._rig
         assert self._image is not None
         request, progress = self._request()
         solve_began = cpu_time()
-        answer = self._controller.answer(request, line.running)
+        result = self._controller.solve(request, line.running)
         solve_s = cpu_time() - solve_began
         stamp_ns = round(self._began * 1e9)
-        table, fitted = prepare(rig, answer.cycle, stamp_ns, before=(line.running,))
+        table, scaled = prepare(rig, result.cycle, stamp_ns, before=(line.running,))
         line.send(table)
-        self._state = self._planner.record_cycle(self._state, answer.cycle, line.now)
+        self._state = self._planner.record_cycle(self._state, result.cycle, line.now)
         step_s = cpu_time() - self._work_began
         error, turned = true_errors(
             self._planner.scenario, rig, self._state, self._parts, self._start, self._began
         )
-        used = fitted.usage
+        used = scaled.usage
         moment = Moment(
             time=self._began,
             world=self._start,
             parts=self._parts,
             request=request,
-            answer=answer,
+            result=result,
             progress=progress,
             image=self._image,
             solve_s=solve_s,
@@ -604,7 +604,7 @@ class _Loop:
             limit_share=used.overall,
             force_share=used.force / rig.limits.force,
             heat_share=float(np.sqrt(np.max(used.thermal_load))),
-            scaled=fitted.factor < 1,
+            scaled=scaled.factor < 1,
             error_m=error,
             turn_error=turned,
             held=max(self._held, 0),
@@ -620,7 +620,7 @@ class _Loop:
         if self._cell is not None and self._state.memory is not None:
             order = self._cell.order(self._state.memory.report, now)
             self._planner = self._planner.order(self._state, order)
-        self._state, request, progress = self._planner.answer(self._state)
+        self._state, request, progress = self._planner.next_request(self._state)
         self._expected = predicted(request, self._state)
         # The result of a task is confirmed with an image that is taken at rest. For this image, the
         # request of a user's planner is ignored.
@@ -634,8 +634,8 @@ class _Loop:
         the next cycle must be computed."""
         until = np.inf
         if self._shot is not None:
-            answer_at = self._state.due if self._image is not None else np.inf
-            until = min(self._shot.delivered, max(answer_at, self._line.now + MOMENT_S))
+            due = self._state.due if self._image is not None else np.inf
+            until = min(self._shot.delivered, max(due, self._line.now + MOMENT_S))
         for motion in self._line.play(until):
             self._scene.run(motion)
 
@@ -682,16 +682,16 @@ def summary(setup: Setup, rig: Rig, transport: Transport | None = None) -> dict[
     scaled = held = late = 0
     task, cycles = setup.recipe.task, hashlib.blake2b(digest_size=8)
     for moment in run(setup, rig, transport):
-        cycle = moment.answer.cycle
+        cycle = moment.result.cycle
         for knots in (cycle.times, cycle.knot_pose, cycle.knot_twist, cycle.knot_accel):
             cycles.update(knots.tobytes())
         held += moment.held
         late += moment.step_s > cycle.period
-        if moment.answer.solution is not None:
+        if moment.result.solution is not None:
             solve_s.append(moment.solve_s)
             step_s.append(moment.step_s)
-            misses.append(moment.answer.error_m)
-            requests.append(moment.answer.requested_m)
+            misses.append(moment.result.error_m)
+            requests.append(moment.result.requested_m)
         uses.append((moment.limit_share, moment.force_share, moment.heat_share))
         scaled += moment.scaled
         errors.append(moment.error_m)

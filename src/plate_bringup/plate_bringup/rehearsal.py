@@ -82,7 +82,7 @@ class Rehearsal:
         Mean speed of the parts until half of the distance remained [m/s].
     lost : bool
         Whether a part left the plate.
-    limit_use : Share
+    limit_use : LimitUse
         Used fractions of the limits of the rig.
     """
 
@@ -217,7 +217,7 @@ def rehearse(rig: Rig, scenario: Scenario, seed: int) -> Rehearsal:
         fails = last.phase.is_failure or (left[-1] > 0 and rate <= max(going, 1) * STILL)
         hold_s = 0.0 if isinstance(scenario.task, FollowTask) else scenario.task.hold_s
         time += np.inf if fails else hold_s + left[-1] / max(rate, STILL)
-    uses = [limit_use_of(rig, moment.answer.cycle) for moment in moments]
+    uses = [limit_use_of(rig, moment.result.cycle) for moment in moments]
     lost = last.phase is Phase.LOST
     return Rehearsal(float(time), float(speed), lost, LimitUse(*np.median(uses, axis=0)))
 

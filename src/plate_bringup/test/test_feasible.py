@@ -89,7 +89,7 @@ def test_the_rest_of_a_rehearsal_is_estimated_from_its_second_half(
                 parts_total=5, parts_sorted=1,
             )  # fmt: skip
             yield SimpleNamespace(
-                progress=progress, answer=SimpleNamespace(cycle=PlateCycle.rest(0.1))
+                progress=progress, result=SimpleNamespace(cycle=PlateCycle.rest(0.1))
             )
 
     monkeypatch.setattr("plate_bringup.rehearsal.run", run)

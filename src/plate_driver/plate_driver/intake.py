@@ -14,7 +14,7 @@ from .clocks import Clocks
 from .freshness import Freshness
 from .playback import Playback
 from .raw_cycle import check_length
-from .setpoints import MAX_KNOTS, Fit
+from .setpoints import MAX_KNOTS, ScaledCycle
 from .transports import Latch, TransportThread
 
 __all__ = ["CycleIntake", "NotReadyError"]
@@ -104,7 +104,9 @@ class CycleIntake:
         self._freshness = self._freshness.with_state(number, now, clock_ns)
         return status
 
-    def accept(self, data: bytes, size: int, source: bytes, transport: TransportThread) -> Fit:
+    def accept(
+        self, data: bytes, size: int, source: bytes, transport: TransportThread
+    ) -> ScaledCycle:
         """Check a cycle and send its motor table.
 
         Parameters
@@ -119,7 +121,7 @@ class CycleIntake:
 
         Returns
         -------
-        fit : Fit
+        scaled : ScaledCycle
             The cycle as sent, and the factor that scales it down to the rig's limits.
 
         Raises
@@ -134,21 +136,21 @@ class CycleIntake:
             raise NotReadyError(f"the driver is {status.text}")
         try:
             check_length(data, size, min(MAX_KNOTS, transport.max_knots))
-            fit = self._send_cycle(*self._decode(data), transport, number)
+            scaled = self._send_cycle(*self._decode(data), transport, number)
         except PlateError as error:
             self._playback.count_refused()
             self.refusal = str(error)
             raise
         self.refusal = ""
-        return fit
+        return scaled
 
     def _send_cycle(
         self, cycle: PlateCycle, stamp_ns: int, transport: TransportThread, number: int
-    ) -> Fit:
+    ) -> ScaledCycle:
         now = self._clocks.playback_s()
         if self._clocks.simulated():  # the clock message may arrive later
             now = max(now, 1e-9 * stamp_ns)
-        guard, fit = self._playback.guard_for(transport).accepted(cycle, stamp_ns, now)
+        guard, scaled = self._playback.guard_for(transport).accepted(cycle, stamp_ns, now)
         if cycle.moves:
             # Poll the task status as late as possible, because the task may have ended since the
             # last poll.
@@ -156,8 +158,8 @@ class CycleIntake:
             guard = guard.lasting(self._clocks.steady_s() + self._remaining_s(cycle, stamp_ns))
         self._playback.send(transport, guard, number)
         if guard.correction is not None:
-            self._playback.record_motion(stamp_ns, fit.cycle)
-        return fit
+            self._playback.record_motion(stamp_ns, scaled.cycle)
+        return scaled
 
     def _remaining_s(self, cycle: PlateCycle, stamp_ns: int) -> float:
         """Return the remaining time in which a moving cycle may be sent [s]. Raise an error if the

@@ -330,7 +330,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         if not self.active or transport is None:
             return
         try:
-            fit = self.intake.accept(data, size, source, transport)
+            scaled = self.intake.accept(data, size, source, transport)
         # The same warning occurs twice in the code, because rclpy limits the rate of each line of
         # code separately.
         except NotReadyError as error:
@@ -338,8 +338,8 @@ class DriverNode(SafeLifecycleNode[Options]):
         except PlateError as error:
             self.get_logger().warning(f"cycle refused: {error}", throttle_duration_sec=WARN_S)
         else:
-            if fit.factor < MIN_FACTOR:
-                self.get_logger().warning(fit.summary, throttle_duration_sec=WARN_S)
+            if scaled.factor < MIN_FACTOR:
+                self.get_logger().warning(scaled.summary, throttle_duration_sec=WARN_S)
 
     def _on_watch_timer(self) -> None:
         """Process measurements and problems of the transport, and detect missing cycles."""

@@ -102,10 +102,10 @@ class Playback:
             If the plate cannot perform this motion.
         """
         number, before = self._latch.number, self.guard_for(transport)
-        guard, fit = replace(before, hold_cycles=1).commanded(cycle, stamp_ns, now)
+        guard, scaled = replace(before, hold_cycles=1).commanded(cycle, stamp_ns, now)
         self.send(transport, guard, number)
         self.guard = replace(guard, hold_cycles=before.hold_cycles)
-        return fit.factor
+        return scaled.factor
 
     def record_motion(self, stamp_ns: int, cycle: PlateCycle) -> None:
         """Record the plate's motion that a corrected table causes."""

@@ -42,7 +42,7 @@ def wild_cycle(seed: int, knots: int, size: float, period: float, smooth: int) -
     return PlateCycle.from_knots(times * period / times[-1], *states)
 
 
-def shares(table) -> dict[str, float]:
+def used_fractions(table) -> dict[str, float]:
     """Use of the limits by other means than the driver's: scipy's splines, densely sampled."""
     states = np.stack([table.q, table.qd, table.qdd], axis=1)  # (k, 3, 4)
     spline = BPoly.from_derivatives(table.cycle.times.copy(), states)
@@ -84,11 +84,11 @@ class Anything(RuleBasedStateMachine):
         if guard.table is None or guard.table is self.applied:
             return
         self.applied = guard.table
-        found = shares(guard.table)
+        found = used_fractions(guard.table)
         self.load = found.pop("load")
-        for name, share in found.items():
+        for name, fraction in found.items():
             if name != "accel" or self.guard.correction is None:
-                assert share <= 1 + EXCESS, f"{name}: {share}"
+                assert fraction <= 1 + EXCESS, f"{name}: {fraction}"
         assert np.all(np.abs(guard.table.q[[0, -1]]) < 3e-5)
         assert np.all(np.isfinite(guard.table.qdd))
 
@@ -99,13 +99,13 @@ class Anything(RuleBasedStateMachine):
     def a_cycle_comes(self, seed, knots, size, smooth, period, stamp):
         try:
             with np.errstate(all="ignore"):
-                guard, fit = self.guard.accepted(
+                guard, scaled = self.guard.accepted(
                     wild_cycle(seed, knots, size, period, smooth), stamp, self.now
                 )
         except PlateError:
             self.guard = self.guard.refused()
             return
-        assert fit.factor <= 1
+        assert scaled.factor <= 1
         self.take(guard)
 
     @rule(strong=st.integers(1, 5))
@@ -165,9 +165,9 @@ def test_the_checker_detects_an_exceeded_limit():
     table = guard.table
     for factor in (1.01, 10.0):
         wrong = type(table)(0, table.cycle, factor * table.q, factor * table.qd, factor * table.qdd)
-        used = shares(wrong)
-        assert used["stroke"] == pytest.approx(factor * shares(table)["stroke"])
-    assert max(v for k, v in shares(table).items() if k != "load") > 0.99
+        used = used_fractions(wrong)
+        assert used["stroke"] == pytest.approx(factor * used_fractions(table)["stroke"])
+    assert max(v for k, v in used_fractions(table).items() if k != "load") > 0.99
 
 
 def test_a_refused_cycle_does_not_change_the_guard():
@@ -227,10 +227,10 @@ def test_hot_motors_get_less():
     now = 0.0
     guard = small
     for k in range(150):
-        guard, fit = guard.accepted(cycle, k, now)
-        factors.append(fit.factor)
+        guard, scaled = guard.accepted(cycle, k, now)
+        factors.append(scaled.factor)
         now += 0.2
     assert factors[0] == pytest.approx(max(factors))
     assert factors[-1] < 0.8 * factors[0]
     assert float(np.max(guard.thermal.at_time(guard.rig, now).rise)) == pytest.approx(1, abs=0.02)
-    assert fit.usage.thermal_load.max() == pytest.approx(1, abs=0.02)
+    assert scaled.usage.thermal_load.max() == pytest.approx(1, abs=0.02)

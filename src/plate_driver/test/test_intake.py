@@ -78,8 +78,8 @@ def _desk(monkeypatch):
 
 
 def test_an_accepted_cycle_is_sent_and_counted(desk):
-    fit = desk.send(FIRST)
-    assert fit.factor == 1
+    scaled = desk.send(FIRST)
+    assert scaled.factor == 1
     [table] = desk.tables
     assert table.stamp_ns == desk.stamp_ns()
     q, _, _ = motor_state(RIG, FIRST.knot_pose, FIRST.knot_twist, FIRST.knot_accel)
@@ -178,9 +178,9 @@ def test_the_start_of_a_corrected_table_is_reported_with_the_motion_of_the_plate
     response = Response.identity(RIG, np.arange(1.0, 100.0))
     desk = Desk(replace(response, matrix=2 * response.matrix))
     reporter = StartReporter(desk.playback, desk.now)
-    fit = desk.send(shaking(0.0005))
+    scaled = desk.send(shaking(0.0005))
     [table] = desk.tables
-    half = np.max(np.abs(table.cycle.knot_pose)) / np.max(np.abs(fit.cycle.knot_pose))
+    half = np.max(np.abs(table.cycle.knot_pose)) / np.max(np.abs(scaled.cycle.knot_pose))
     assert half == pytest.approx(0.5, abs=0.05)
     began = desk.now
     desk.now += 0.01
@@ -188,7 +188,7 @@ def test_the_start_of_a_corrected_table_is_reported_with_the_motion_of_the_plate
     measured = Measured(desk.now, desk.now, 1, zero, zero, table, began)
     cycle, start, problem = reporter.update(measured, desk.now)
     assert (start, problem) == (began, "")
-    np.testing.assert_array_equal(cycle.knot_pose, fit.cycle.knot_pose)
+    np.testing.assert_array_equal(cycle.knot_pose, scaled.cycle.knot_pose)
     late = replace(measured, began=began - 1.0)
     _, start, problem = reporter.update(late, desk.now)
     assert start is None

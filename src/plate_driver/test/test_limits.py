@@ -1,4 +1,4 @@
-"""fit(): limits are never exceeded, the motion stays the same, and no more is taken than needed."""
+"""scale_to_limits() exceeds no limit, keeps the form of motions, and scales no more than needed."""
 
 from dataclasses import replace
 
@@ -7,7 +7,7 @@ import pytest
 
 from plate_core import CycleError, PlateCycle, load_rig
 from plate_core.motion import corner_accel, motor_state, usage
-from plate_driver.setpoints.limits import ROUNDING, check_setpoints, fit
+from plate_driver.setpoints.limits import ROUNDING, check_setpoints, scale_to_limits
 
 RIG = load_rig()
 
@@ -30,7 +30,7 @@ def random_cycle(seed: int, size: float) -> PlateCycle:
     return PlateCycle.from_knots(times, *close)
 
 
-def dense_shares(cycle: PlateCycle) -> np.ndarray:
+def dense_fractions(cycle: PlateCycle) -> np.ndarray:
     """Largest share of stroke, speed and acceleration limit on 64 samples of each interval."""
     steps = np.arange(64) / 64
     t = (cycle.times[:-1, None] + np.diff(cycle.times)[:, None] * steps).ravel()
@@ -44,9 +44,9 @@ def dense_shares(cycle: PlateCycle) -> np.ndarray:
 def test_limits_are_never_exceeded_and_no_more_is_taken_than_needed(size):
     for seed in range(20):
         cycle = random_cycle(seed, size)
-        found = fit(RIG, cycle)
-        shares = dense_shares(found.cycle)
-        assert np.all(shares <= 1 + ROUNDING), f"seed {seed}: {shares}"
+        found = scale_to_limits(RIG, cycle)
+        fractions = dense_fractions(found.cycle)
+        assert np.all(fractions <= 1 + ROUNDING), f"seed {seed}: {fractions}"
         assert found.usage.overall == usage(RIG, found.cycle).overall
         np.testing.assert_allclose(found.cycle.knot_pose, found.factor * cycle.knot_pose)
         np.testing.assert_array_equal(found.cycle.times, cycle.times)
@@ -57,7 +57,7 @@ def test_limits_are_never_exceeded_and_no_more_is_taken_than_needed(size):
 
 def test_gentle_cycle_is_not_touched():
     cycle = random_cycle(0, 1e-5)
-    found = fit(RIG, cycle)
+    found = scale_to_limits(RIG, cycle)
     assert found.cycle is cycle
     assert found.factor == 1
     assert found.requested is found.usage
@@ -66,9 +66,9 @@ def test_gentle_cycle_is_not_touched():
 def test_exactly_at_the_limit_is_allowed():
     cycle = random_cycle(0, 1e-4)
     rig = replace(RIG, limits=replace(RIG.limits, accel=usage(RIG, cycle).accel))
-    assert fit(rig, cycle).factor == 1
+    assert scale_to_limits(rig, cycle).factor == 1
     tighter = replace(rig, limits=replace(rig.limits, accel=rig.limits.accel * (1 - 1e-5)))
-    found = fit(tighter, cycle)
+    found = scale_to_limits(tighter, cycle)
     assert 0.99 < found.factor < 1
     assert found.usage.accel <= tighter.limits.accel
 
@@ -79,7 +79,7 @@ def test_every_limit_counts(limit):
     free = {"stroke_m": 1.0, "speed": 100.0, "accel": 1e4, "force": 1e4, "continuous_force": 1e4}
     peak = getattr(usage(RIG, cycle), limit)
     rig = replace(RIG, limits=replace(RIG.limits, **(free | {limit: peak / 4})))
-    found = fit(rig, cycle)
+    found = scale_to_limits(rig, cycle)
     assert found.requested.overall == pytest.approx(4)
     assert found.factor == pytest.approx(0.25, rel=0.01)
     assert getattr(found.usage, limit) <= peak / 4
@@ -87,13 +87,13 @@ def test_every_limit_counts(limit):
 
 def test_motors_that_soon_become_warm_get_what_they_may_have_for_good():
     weak = replace(RIG, limits=replace(RIG.limits, continuous_force=10.0))
-    found = fit(weak, random_cycle(0, 1e-3))
+    found = scale_to_limits(weak, random_cycle(0, 1e-3))
     assert found.factor < 1
     assert 0.95 < np.max(found.usage.thermal_load) <= 1 + ROUNDING
 
 
 def test_rest_stays_rest():
-    assert fit(RIG, PlateCycle.rest(0.05)).factor == 1
+    assert scale_to_limits(RIG, PlateCycle.rest(0.05)).factor == 1
 
 
 def absurd_cycle(size: float) -> PlateCycle:
@@ -104,14 +104,14 @@ def absurd_cycle(size: float) -> PlateCycle:
 
 @pytest.mark.parametrize("size", [1e30, 1e60])
 def test_absurd_cycles_are_scaled(size):
-    assert np.all(dense_shares(fit(RIG, absurd_cycle(size)).cycle) <= 1)
+    assert np.all(dense_fractions(scale_to_limits(RIG, absurd_cycle(size)).cycle) <= 1)
 
 
 @pytest.mark.parametrize("size", [1e120, 1e290])
 def test_a_cycle_that_is_too_large_to_compute_is_refused(size):
     cycle = absurd_cycle(size)
     with pytest.raises(CycleError, match="too large to compute, allowed: 10 mm of stroke, 1 m/s, "):
-        fit(RIG, cycle)
+        scale_to_limits(RIG, cycle)
 
 
 def setpoints() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

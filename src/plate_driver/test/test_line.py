@@ -70,8 +70,8 @@ def test_round_trip_is_found(trip_s):
 
 @pytest.mark.parametrize("loss", [0.01, 0.03, 0.05])
 def test_loss_is_found(loss):
-    shares = [conversation(loss, 0.005, 10.0, seed).answered for seed in range(10)]
-    assert np.mean(shares) == pytest.approx((1 - loss) ** ROUND, rel=0.25)
+    fractions = [conversation(loss, 0.005, 10.0, seed).answered for seed in range(10)]
+    assert np.mean(fractions) == pytest.approx((1 - loss) ** ROUND, rel=0.25)
     line = LineModel(answered=(1 - loss) ** ROUND)
     assert line.lossy
     assert line.arriving(65) == pytest.approx((1 - loss) ** 65)

@@ -27,21 +27,21 @@ def foreign(size: float, period: float = 0.1, knots: int = 16) -> PlateCycle:
 
 
 def test_rest():
-    table, fit = prepare(RIG, PlateCycle.rest(0.05), 7)
+    table, scaled = prepare(RIG, PlateCycle.rest(0.05), 7)
     assert table.stamp_ns == 7
-    assert fit.factor == 1
+    assert scaled.factor == 1
     assert not np.any(table.q)
     assert not np.any(MotorTable.rest(RIG, 0.05, 7).qdd)
 
 
 @pytest.mark.parametrize("size", [1e-4, 0.01, 100.0])
 def test_table_reproduces_the_cycle(size):
-    table, fit = prepare(RIG, foreign(size), 1)
-    assert table.cycle is fit.cycle
+    table, scaled = prepare(RIG, foreign(size), 1)
+    assert table.cycle is scaled.cycle
     pose, twist, accel = plate_state(RIG, table.q, table.qd, table.qdd)
-    np.testing.assert_allclose(pose, fit.cycle.knot_pose, atol=1e-14)
-    np.testing.assert_allclose(twist, fit.cycle.knot_twist, atol=1e-12)
-    np.testing.assert_allclose(accel, fit.cycle.knot_accel, atol=1e-9)
+    np.testing.assert_allclose(pose, scaled.cycle.knot_pose, atol=1e-14)
+    np.testing.assert_allclose(twist, scaled.cycle.knot_twist, atol=1e-12)
+    np.testing.assert_allclose(accel, scaled.cycle.knot_accel, atol=1e-9)
 
 
 @pytest.mark.parametrize("size", [0.001, 0.01, 100.0])
@@ -62,10 +62,10 @@ def test_motors_that_spline_by_themselves_keep_the_limits_too(size):
 
 def test_the_last_look_does_not_trust_the_scaling(monkeypatch):
     def wrong(rig, cycle, load):
-        return replace(fit(rig, cycle, load), cycle=cycle)
+        return replace(scale_to_limits(rig, cycle, load), cycle=cycle)
 
-    fit = motor_table.fit
-    monkeypatch.setattr(motor_table, "fit", wrong)
+    scale_to_limits = motor_table.scale_to_limits
+    monkeypatch.setattr(motor_table, "scale_to_limits", wrong)
     with pytest.raises(CycleError, match=r"motor_1: travel is .* m, allowed: 0\.01 m"):
         prepare(RIG, foreign(0.1), 1)
 
@@ -78,8 +78,8 @@ def test_a_table_may_be_sent_until_it_is_too_old():
 
 
 def test_scaled_from_rest_is_still_from_rest():
-    table, fit = prepare(RIG, foreign(1.0), 1, repeats=2)
-    assert 0 < fit.factor < 0.1
+    table, scaled = prepare(RIG, foreign(1.0), 1, repeats=2)
+    assert 0 < scaled.factor < 0.1
     assert table.cycle.starts_at_rest
     assert table.cycle.period == pytest.approx(0.4)
 

@@ -78,8 +78,8 @@ def _pair(rng):
 
 def test_a_table_has_its_tail(pair):
     cycle, _ = pair
-    table, fit = prepare(RIG, cycle, 7)
-    assert fit.factor == 1
+    table, scaled = prepare(RIG, cycle, 7)
+    assert scaled.factor == 1
     assert table.cycle is cycle
     assert table.length == pytest.approx(PERIOD + TAIL)
     assert len(table.q) == len(table.times) == KNOTS + 3
@@ -102,8 +102,8 @@ def test_a_cycle_in_motion_begins_to_the_last_bit_where_the_last_one_ends(pair):
     times, *states = second.knots
     for state, off in zip(states, (5e-7, 5e-5, 5e-3), strict=True):
         state[0] += off  # as a sender that rounds
-    table, fit = prepare(RIG, PlateCycle.from_knots(times, *states), 2, before=(before.cycle,))
-    assert fit.factor == 1
+    table, scaled = prepare(RIG, PlateCycle.from_knots(times, *states), 2, before=(before.cycle,))
+    assert scaled.factor == 1
     for mine, old in zip(
         (table.q, table.qd, table.qdd), (before.q, before.qd, before.qdd), strict=True
     ):
@@ -125,9 +125,9 @@ def test_a_cycle_in_motion_is_never_scaled(rng):
     """A cycle from rest is scaled, with its tail. A cycle that continues the unscaled one then
     begins elsewhere."""
     first = spliced(rng, size=2e-2)
-    table, fit = prepare(RIG, first, 1)
-    assert 0 < fit.factor < 0.9
-    np.testing.assert_allclose(table.cycle.tail.knot_pose, fit.factor * first.tail.knot_pose)
+    table, scaled = prepare(RIG, first, 1)
+    assert 0 < scaled.factor < 0.9
+    np.testing.assert_allclose(table.cycle.tail.knot_pose, scaled.factor * first.tail.knot_pose)
     with pytest.raises(CycleError, match="begins in motion"):
         prepare(RIG, spliced(rng, first), 2, before=(table.cycle,))
     small = spliced(rng)
@@ -144,8 +144,8 @@ def test_rounding_errors_at_a_limit_are_accepted(rng):
     second = spliced(rng, first)
     used = prepare(RIG, second, 1, before=(first,))[1].usage
     tight = replace(RIG, limits=replace(RIG.limits, accel=used.accel / (1 + 2e-6)))
-    table, fit = prepare(tight, second, 1, before=(first,))
-    assert fit.factor == 1
+    table, scaled = prepare(tight, second, 1, before=(first,))
+    assert scaled.factor == 1
     assert np.all(table.cycle.knot_pose == second.knot_pose)
     tight = replace(RIG, limits=replace(RIG.limits, accel=used.accel / 1.001))
     with pytest.raises(CycleError, match="cannot be scaled"):
@@ -217,10 +217,10 @@ def test_with_a_calibration_only_cycles_from_rest_are_taken(pair):
         seen.append(cycle)
         return cycle.scaled(0.5)
 
-    table, fit = prepare(RIG, first, 1, correction=correction)
+    table, scaled = prepare(RIG, first, 1, correction=correction)
     assert table.tail is None
     assert table.cycle.starts_at_rest
-    assert table.cycle.period == fit.cycle.period == pytest.approx(PERIOD + TAIL)
+    assert table.cycle.period == scaled.cycle.period == pytest.approx(PERIOD + TAIL)
     t = np.linspace(0, TAIL, 20)
     np.testing.assert_allclose(seen[0].pose(PERIOD + t), first.tail.pose(t), atol=1e-15)
     with pytest.raises(CycleError, match="a calibration requires a cycle that begins at rest"):
@@ -326,12 +326,12 @@ def test_motors_that_are_too_warm_end_in_a_scaled_cycle_from_rest_and_go_on(rng)
             before = None
         cycle = spliced(rng, before)
         try:
-            guard, fit = guard.accepted(cycle, k, now)
+            guard, scaled = guard.accepted(cycle, k, now)
         except CycleError as error:
             guard = guard.refused()
             refused.append(str(error))
             continue
-        taken.append((k, fit.factor, cycle.starts_at_rest))
+        taken.append((k, scaled.factor, cycle.starts_at_rest))
         before = guard.table.cycle
         assert np.max(guard.thermal.at_time(weak, now).rise) <= 1 + 1e-6
     warm = [text for text in refused if "mean force at the motors' temperature" in text]

@@ -4,7 +4,7 @@ import pytest
 
 from plate_core import PlateCycle, load_rig
 from plate_driver.setpoints.guard import Guard, Statistics
-from plate_driver.setpoints.limits import fit
+from plate_driver.setpoints.limits import scale_to_limits
 
 RIG = load_rig()
 
@@ -15,7 +15,7 @@ def wild(size: float) -> PlateCycle:
 
 
 def test_counts():
-    gentle, large, larger = (fit(RIG, wild(size)) for size in (1e-5, 0.01, 0.1))
+    gentle, large, larger = (scale_to_limits(RIG, wild(size)) for size in (1e-5, 0.01, 0.1))
     statistics = Statistics()
     for found in (gentle, large, larger, large):
         statistics = statistics.accepted(found)
@@ -53,7 +53,7 @@ def test_a_plate_at_rest_rests_no_further():
 
 
 def test_report_keeps_totals_and_forgets_peaks():
-    statistics = Statistics().accepted(fit(RIG, wild(0.1)), late=0.01)
+    statistics = Statistics().accepted(scale_to_limits(RIG, wild(0.1)), late=0.01)
     assert statistics.values(0.5)["rate_hz"] == "2.00"
     assert statistics.values(0.5)["late_ms"] == "10.0"
     statistics = statistics.reported()

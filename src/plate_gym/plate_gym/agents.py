@@ -70,8 +70,8 @@ class Ours:
                 follow, anchor=start, progress=path_s, scaling=(before, after), fixed=True
             )
             self._state = replace(self._state, memory=follow)
-        self._state, request, _ = self._planner.answer(self._state)
-        cycle = self._answer(request, running)
+        self._state, request, _ = self._planner.next_request(self._state)
+        cycle = self._solve(request, running)
         self._state = self._planner.record_cycle(self._state, cycle, time)
         return cycle
 
@@ -81,8 +81,8 @@ class Ours:
         names = tuple(self._ids[row] for row in rows)
         return Parts.make(names, seen[rows, :2], seen[rows, 2:4], seen[rows, 4])
 
-    def _answer(self, request: CycleRequest, running: PlateCycle) -> PlateCycle:
-        return self._controller.answer(request, running).cycle
+    def _solve(self, request: CycleRequest, running: PlateCycle) -> PlateCycle:
+        return self._controller.solve(request, running).cycle
 
 
 class MethodA(Ours):
@@ -115,12 +115,12 @@ class ByImage(Ours):
         self._tracker = observe(self._vision, self._tracker, seen, time, self._expected)
         return self._tracker.parts
 
-    def _answer(self, request: CycleRequest, running: PlateCycle) -> PlateCycle:
+    def _solve(self, request: CycleRequest, running: PlateCycle) -> PlateCycle:
         self._expected = None
         if request.start is not None:
             next_start = self._state.estimator.next_start
             self._expected = Prediction(request.parts.ids, next_start, request.start[:, :2])
-        return super()._answer(request, running)
+        return super()._solve(request, running)
 
 
 class Averaged(Ours):
@@ -131,7 +131,7 @@ class Averaged(Ours):
         super().__init__(brief, seed)
         self._solver = SinusoidSolver(self._rig, seed=seed, at_rest=True)
 
-    def _answer(self, request: CycleRequest, running: PlateCycle) -> PlateCycle:
+    def _solve(self, request: CycleRequest, running: PlateCycle) -> PlateCycle:
         parts = request.parts
         if not len(parts):
             return PlateCycle.rest(IDLE_S)

@@ -178,7 +178,7 @@ class Plate:
             np.append(visible, False)[rows],
         )
 
-    def answer(self, action: Any) -> tuple[PlateCycle, float, bool]:
+    def cycle_for(self, action: Any) -> tuple[PlateCycle, float, bool]:
         """Convert an action to a cycle within the rig's limits. Return the cycle, the largest
         fraction of a limit that it uses, and whether it was scaled down to the limits. Actions of
         the kind `motion` are not allowed."""
@@ -187,11 +187,11 @@ class Plate:
             make = self._forces if level == "forces" else self._progress
             began = clocks()
             request = make(np.asarray(action, float)[self._rows])
-            action = self.controller.answer(request, self.running).cycle
+            action = self.controller.solve(request, self.running).cycle
             self.solving_s += clocks() - began
         stamp = round(self.time * 1e9)
-        table, fitted = prepare(self._shared.rig, action, stamp, before=(self.running,))
-        return table.cycle, fitted.usage.overall, fitted.factor < 1
+        table, scaled = prepare(self._shared.rig, action, stamp, before=(self.running,))
+        return table.cycle, scaled.usage.overall, scaled.factor < 1
 
     @property
     def _rows(self) -> np.ndarray:
@@ -313,10 +313,10 @@ class Plates:
         """Simulate the running cycles of the plates `rows`, and begin the cycles that the actions
         define."""
         plates = [self.plates[row] for row in rows]
-        answers, self.limit_share[rows], self.scaled[rows] = self._answers(plates, actions)
+        cycles, self.limit_share[rows], self.scaled[rows] = self._cycles_for(plates, actions)
         worlds, running = [p.simulation for p in plates], [p.running for p in plates]
         Simulation.run_together(worlds, running, self._threads)
-        for plate, cycle in zip(plates, answers, strict=True):
+        for plate, cycle in zip(plates, cycles, strict=True):
             plate.begin(cycle)
         self._update_observations(plates)
         score = self._score(plates)
@@ -345,14 +345,14 @@ class Plates:
             result = np.concatenate([result, np.stack(goals)], axis=2)
         return np.clip(result, *self.bounds)
 
-    def _answers(
+    def _cycles_for(
         self, plates: Sequence[Plate], actions: Sequence[Any]
     ) -> tuple[Sequence[PlateCycle], Any, Any]:
         """Convert one action per plate to cycles within the rig's limits. Return the cycles, the
         largest fraction of a limit that each cycle uses, and whether each cycle was scaled down."""
         if self.action == "motion":
             return *self.motions.cycles(np.array(actions, float)), False
-        cycles, uses, scaled = zip(*self._each(Plate.answer, plates, actions), strict=True)
+        cycles, uses, scaled = zip(*self._each(Plate.cycle_for, plates, actions), strict=True)
         return cycles, uses, scaled
 
     def _update_observations(self, plates: Sequence[Plate]) -> None:

@@ -297,7 +297,7 @@ def test_our_agent_does_what_the_loop_does(gym, task):
         true = env.plates.plates[0].simulation.state.position
         assert true == pytest.approx(moment.world.position, abs=1e-12)
         cycle = agent.act(seen, info)
-        assert np.array_equal(cycle.knot_pose, moment.answer.cycle.knot_pose)
+        assert np.array_equal(cycle.knot_pose, moment.result.cycle.knot_pose)
         moved += cycle.moves
         seen, *_, info = env.step(cycle)
     assert moved >= 1
@@ -311,9 +311,9 @@ def test_motions_keep_the_limits_and_use_them(gym):
     motions = Motions(rig)
     wild = [np.sign(rng.normal(size=motions.size)), *rng.uniform(-1, 1, (3, motions.size))]
     for action in [*wild, *np.eye(motions.size)[:4]]:
-        cycle, share = motions.cycle(action)
+        cycle, fraction = motions.cycle(action)
         true = usage(rig, cycle).overall
-        assert 0.9 < true <= share <= 1
+        assert 0.9 < true <= fraction <= 1
     small, _ = motions.cycle(0.01 * wild[1])
     assert usage(rig, small).overall < 0.2
 

@@ -417,13 +417,13 @@ def test_our_solver_is_time_of_a_decision(bench, module, monkeypatch):
     import plate_gym.plates
 
     hours = np.zeros(2)
-    answer = plate_gym.plates.Controller.answer
+    answer = plate_gym.plates.Controller.solve
 
     def slow(self, *args):
         hours[:] += 3600, 7200
         return answer(self, *args)
 
-    monkeypatch.setattr(plate_gym.plates.Controller, "answer", slow)
+    monkeypatch.setattr(plate_gym.plates.Controller, "solve", slow)
     for place in (plate_gym.episode, plate_gym.plates):
         monkeypatch.setattr(place, "clocks", hours.copy)
     monkeypatch.setattr(plate_gym.plates, "ROUNDING_S", 119.5)  # of 120 s

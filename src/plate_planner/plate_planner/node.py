@@ -4,7 +4,7 @@ The node receives the detected parts, and publishes the mean force that the next
 on each part. An action goal starts a task. The node also subscribes to the topics plate_cycle and
 cycle_started, which contain the motion of the plate. This motion moves the parts between images,
 and the next cycle continues it. `TaskRunner` runs a task. `InputMonitor` ends the task if an input
-is missing. `Lockstep` and `AnswerSchedule` decide when the next request is computed.
+is missing. `Lockstep` and `RequestSchedule` decide when the next request is computed.
 """
 
 from __future__ import annotations
@@ -55,11 +55,11 @@ from plate_core.status import INPUT_TIMEOUT_S, age_limit
 from plate_interfaces.msg import DriverStatus, FeedOrder, PartForces, Parts, Targets, TaskStatus
 from plate_interfaces.srv import MeasureFriction
 
-from .answer_schedule import AnswerSchedule
 from .diagnostics import PlannerDiagnostics
 from .estimation import check_start, warm_up
 from .lockstep import Lockstep
 from .planner import NOTHING, Planner, PlannerOptions
+from .request_schedule import RequestSchedule
 from .ros import GoalServers, TaskReports, run_to_msg
 from .supervision import STOP, Failure, InputMonitor, Inputs, Reason, check_positions
 from .task_run import Run, TaskRunner
@@ -227,7 +227,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         core = options.planner()
         self._tasks = TaskRunner(self._rig, core)
         self._lockstep: Lockstep[Parts, JointTrajectory] = Lockstep(options.lockstep)
-        self._schedule = AnswerSchedule(core.answer_s, core.default_period)
+        self._schedule = RequestSchedule(core.answer_s, core.default_period)
         self._monitor = InputMonitor(
             Inputs.none_yet(now, options.input_timeout_s, options.camera_triggered),
             max(options.start_timeout_s, options.input_timeout_s),
@@ -372,7 +372,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         if self._tasks.run is None:
             self._publish_request(NOTHING, self._began)
         else:
-            self._publish_task_request(self._tasks.run, self._began, self._tasks.answer)
+            self._publish_task_request(self._tasks.run, self._began, self._tasks.next_request)
 
     def _on_cycle(self, msg: JointTrajectory) -> None:
         self._record_activity()

@@ -38,7 +38,7 @@ from plate_core.tasks import (
     target_problem,
 )
 
-from .estimation import MISSED_IMAGES, Coast, Estimator
+from .estimation import MISSED_IMAGES, Coast, Estimator, rows_of
 from .supervision import (
     STOP,
     Agreement,
@@ -132,9 +132,9 @@ class PlannerState:
         Ids of the parts in the last image that showed all parts.
     last : mapping of str to LastSeen
         Last detected position of each part. Empty in tasks in which parts are added and removed.
-    answer : (CycleRequest, Progress) or None
-        Result of the last call of `Planner.answer`. If the same image arrives again, this result is
-        returned again. None before the first image.
+    last_result : (CycleRequest, Progress) or None
+        Result of the last call of `Planner.next_request`. If the same image arrives again, this
+        result is returned again. None before the first image.
     due : float
         Time at which the next request must be computed [s]. Infinite until a cycle start is
         reported.
@@ -149,7 +149,7 @@ class PlannerState:
     memory: Any = None
     known: tuple[str, ...] = ()
     last: Mapping[str, LastSeen] = field(default_factory=dict)
-    answer: tuple[CycleRequest, Progress] | None = None
+    last_result: tuple[CycleRequest, Progress] | None = None
     due: float = np.inf
     kept: bool = False
     agreement: Agreement = field(default_factory=Agreement)
@@ -164,7 +164,7 @@ class Planner:
     parts, t)` for every image. If the camera is free-running, call `state = planner.see(state,
     parts, t)` for every image, and `state = planner.started(state, cycle, t)` for every cycle that
     the plate begins. At the time `state.due`, call `state, request, progress =
-    planner.answer(state)`.
+    planner.next_request(state)`.
     """
 
     rig: Rig
@@ -351,12 +351,12 @@ class Planner:
             Request for these parts. The request is `NOTHING` if the plate should rest.
         progress : Progress
         """
-        if state.answer is not None and t == state.estimator.clock.stamp:
-            request, progress = state.answer
+        if state.last_result is not None and t == state.estimator.clock.stamp:
+            request, progress = state.last_result
             return state, request if state.task.active else NOTHING, progress
-        return self.answer(self.see(state, parts, t))
+        return self.next_request(self.see(state, parts, t))
 
-    def answer(self, state: PlannerState) -> tuple[PlannerState, CycleRequest, Progress]:
+    def next_request(self, state: PlannerState) -> tuple[PlannerState, CycleRequest, Progress]:
         """Compute the request for the next cycle from the images that were recorded so far. The
         returned values are the same as in `plan`."""
         estimator = state.estimator
@@ -365,8 +365,8 @@ class Planner:
             parts = self._remove_duplicates(parts, estimator.seen)
         else:
             parts = self._remove_duplicates(parts, estimator.seen, NAMELESS)
-            detected = [k for k, name in enumerate(parts.ids) if name in estimator.seen.ids]
-            last = self._update_last_seen(last, parts.take(detected), estimator.stamp)
+            detected = parts.take(np.flatnonzero(rows_of(parts.ids, estimator.seen.ids) >= 0))
+            last = self._update_last_seen(last, detected, estimator.stamp)
         present = without_surplus(self._on_plate(parts), self._labels)
         state = replace(state, last=last, due=np.inf)
         state, assessment = self._advance_task(state, present)
@@ -376,7 +376,7 @@ class Planner:
         if going_on and assessment.request is not None and len(present):
             state, request = self._make_request(state, present, assessment.request)
         progress = self._make_progress(state, present, assessment)
-        return replace(state, answer=(request, progress)), request, progress
+        return replace(state, last_result=(request, progress)), request, progress
 
     def _rests_for_image(self, estimator: Estimator, assessment: Assessment) -> bool:
         """Whether the plate rests for one cycle, so that the next request is based on an image of
@@ -412,17 +412,14 @@ class Planner:
         parts are assumed to be the same part, which was hidden and has a new id. If `classes` is
         given, only parts of these classes are removed."""
         label = [part_class(name) for name in parts.ids]
-        missing = [name not in seen.ids for name in parts.ids]
+        missing = rows_of(parts.ids, seen.ids) < 0
         if classes is not None:
-            missing = [
-                hidden and class_name in classes
-                for hidden, class_name in zip(missing, label, strict=True)
-            ]
-        if not any(missing):
+            missing &= np.isin(label, classes)
+        if not np.any(missing):
             return parts
         reach = np.array([self.rig.part_type(class_name).reach_m for class_name in label])
         distance = np.hypot(*(parts.position[:, None] - seen.position[None]).transpose(2, 0, 1))
-        double = np.array(missing) & np.any(distance < reach[:, None], axis=1)
+        double = missing & np.any(distance < reach[:, None], axis=1)
         return parts.take(np.flatnonzero(~double)) if np.any(double) else parts
 
     def _update_last_seen(

@@ -172,9 +172,9 @@ class TaskRunner:
         run.state, request, run.progress = run.planner.plan(run.state, parts, stamp)
         return request
 
-    def answer(self, run: Run) -> CycleRequest:
+    def next_request(self, run: Run) -> CycleRequest:
         """Return the request for the next cycle, computed from the images recorded so far."""
-        run.state, request, run.progress = run.planner.answer(run.state)
+        run.state, request, run.progress = run.planner.next_request(run.state)
         return request
 
     def retarget(self, targets: tuple[PartTarget, ...]) -> tuple[str, ...]:

@@ -157,7 +157,7 @@ def played(count, late, log=None):
 def test_the_delay_of_results_is_estimated(late):
     log = played(12, late)
     assert log.delay == late
-    ahead = log.until_answer
+    ahead = log.until_result
     assert ahead.end == pytest.approx(log.end + 0.1 * late)
     # The sent cycles begin one after the other.
     last = [cycle.knot_pose[1, 0] for _, cycle in ahead.runs[-1 - late :]]
@@ -166,7 +166,7 @@ def test_the_delay_of_results_is_estimated(late):
 
 def test_the_plate_rests_until_a_delayed_cycle_begins():
     log = replace(played(14, 3), sent=played(14, 3).sent[1:])
-    ahead = log.until_answer
+    ahead = log.until_result
     last = [cycle.knot_pose[1, 0] for _, cycle in ahead.runs[-4:]]
     assert last == pytest.approx([10e-4, 0.0, 12e-4, 13e-4])
     assert ahead.end == pytest.approx(log.end + 0.3)
@@ -180,7 +180,7 @@ def test_one_late_result_does_not_change_the_estimated_delay():
         .started(swinging(50), 0.9)
     )
     assert log.delay == 0
-    assert log.until_answer == log
+    assert log.until_result == log
 
 
 def test_a_cycle_that_is_due_is_expected_before_it_is_reported():
@@ -223,10 +223,10 @@ def test_the_state_of_the_plate_is_certain_only_while_reports_come():
     assert not CycleLog().record_cycle(LEAVES, 0.95).advance(1.0).certain
     log = reported((1.0, LEAVES)).record_cycle(GOES_ON, 1.05, 1.0)
     assert log.certain
-    assert np.array_equal(log.until_answer.plate, STATE)
+    assert np.array_equal(log.until_result.plate, STATE)
     log = log.advance(1.1)  # the report may come after the image
     assert log.certain
-    assert np.array_equal(log.until_answer.plate, 2 * STATE)
+    assert np.array_equal(log.until_result.plate, 2 * STATE)
     log = log.advance(1.2)
     assert not log.certain
     assert log.runs[-1][1] is GOES_ON.tail
@@ -237,7 +237,7 @@ def test_a_report_overrides_the_expected_start():
     expected = reported((1.0, LEAVES)).record_cycle(GOES_ON, 1.05, 1.0).advance(1.1)
     log = expected.started(LEAVES.tail, 1.1, triggered=True)
     assert [cycle for _, cycle in log.runs] == [LEAVES, LEAVES.tail]
-    assert np.array_equal(log.until_answer.plate, HOME)
+    assert np.array_equal(log.until_result.plate, HOME)
     assert log.end == pytest.approx(1.15)
     # A refused cycle is no longer expected, because it does not begin at rest.
     assert not log.advance(1.15).runs[-1][1].moves
@@ -344,7 +344,7 @@ def test_sent_cycles_are_kept_during_a_long_time_without_images():
     log = log.advance(late)
     assert [begin for begin, _ in log.runs] == [late]
     assert log.runs[0][1].moves
-    assert log.answered_start == 0.1
+    assert log.solved_start == 0.1
 
 
 def test_an_expected_cycle_may_move_the_plate_until_it_has_begun():

@@ -372,6 +372,6 @@ def test_a_part_that_the_robot_took_beside_the_chute_is_not_lost(late):
             state = feed.see(state, seen, t)
             if begun and late:
                 feed = feed.order(state, order)
-            state, *_ = feed.answer(state)
+            state, *_ = feed.next_request(state)
     assert (state.memory.report.lost, state.memory.report.discharged) == (0, 0)
     assert state.memory.report.seen == {"black": 3}

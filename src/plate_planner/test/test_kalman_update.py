@@ -52,12 +52,12 @@ def all_at_once(mean, covariance, seen):
 @pytest.mark.parametrize("seed", range(4))
 def test_it_is_the_update_of_all_parts_and_the_stamp_together(seed):
     mean, covariance, seen = parts(np.random.default_rng(seed))
-    after, rest, fit = kalman_update(mean, covariance, seen, JITTER)
+    after, rest, innovations = kalman_update(mean, covariance, seen, JITTER)
     for a in range(len(mean)):
         exact, blocks, likelihood = all_at_once(mean[a], covariance[a], seen)
         np.testing.assert_allclose(after[a], exact, rtol=1e-7, atol=1e-12)
         np.testing.assert_allclose(rest[a], blocks, rtol=1e-6, atol=1e-14)
-        assert fit.log_likelihood[a] == pytest.approx(likelihood, rel=1e-9)
+        assert innovations.log_likelihood[a] == pytest.approx(likelihood, rel=1e-9)
 
 
 def test_a_part_that_was_pushed_is_as_if_seen_for_the_first_time_but_for_its_friction():
@@ -77,20 +77,20 @@ def test_a_part_that_was_pushed_is_as_if_seen_for_the_first_time_but_for_its_fri
     np.testing.assert_allclose(rest[:, [0, 2]], others_rest, rtol=1e-9, atol=1e-18)
 
 
-@pytest.mark.parametrize("share", [0.9, 1.1])
-def test_a_part_is_pushed_beyond_six_standard_deviations(share):
+@pytest.mark.parametrize("fraction", [0.9, 1.1])
+def test_a_part_is_pushed_beyond_six_standard_deviations(fraction):
     mean, covariance = np.zeros((1, 1, 5)), np.diag(FIRST_SEEN**2)[None, None]
     sigma = np.hypot(FIRST_SEEN[0], CAMERA_M)
-    seen = np.array([[0.0, share * PUSHED_SIGMA * sigma]])
-    after, rest, fit = kalman_update(mean, covariance, seen, JITTER)
+    seen = np.array([[0.0, fraction * PUSHED_SIGMA * sigma]])
+    after, rest, innovations = kalman_update(mean, covariance, seen, JITTER)
     gain = FIRST_SEEN[0] ** 2 / sigma**2
-    if share < 1:
+    if fraction < 1:
         assert after[0, 0, 1] == pytest.approx(gain * seen[0, 1])
         assert rest[0, 0, 1, 1] == pytest.approx((1 - gain) * FIRST_SEEN[0] ** 2)
     else:
         assert after[0, 0, 1] == seen[0, 1]
         assert rest[0, 0, 1, 1] == FIRST_SEEN[0] ** 2
-    assert fit.square[0] == pytest.approx(min(share, 1) ** 2 * PUSHED_SIGMA**2 / 2)
+    assert innovations.square[0] == pytest.approx(min(fraction, 1) ** 2 * PUSHED_SIGMA**2 / 2)
 
 
 @pytest.mark.parametrize("of_type", [-0.5, 0.0, 0.5])

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from plate_core import PlateCycle
-from plate_planner.answer_schedule import AnswerSchedule
 from plate_planner.lockstep import Lockstep
+from plate_planner.request_schedule import RequestSchedule
 
 REST = PlateCycle.rest(0.2)
 
@@ -90,7 +90,7 @@ def test_an_overdue_cycle_or_start_is_not_waited_for():
 
 
 def test_with_a_free_running_camera_the_answer_is_due_before_the_cycle_ends():
-    schedule = AnswerSchedule(answer_s=0.05, period=0.1)
+    schedule = RequestSchedule(answer_s=0.05, period=0.1)
     assert not schedule.take_due()
     assert schedule.is_new(REST, 10.0)
     assert schedule.wait_s(arrival=10.02) == pytest.approx(0.13)
@@ -100,7 +100,7 @@ def test_with_a_free_running_camera_the_answer_is_due_before_the_cycle_ends():
 
 
 def test_a_repeated_report_of_a_start_does_not_delay_the_answer():
-    schedule = AnswerSchedule(answer_s=0.05, period=0.1)
+    schedule = RequestSchedule(answer_s=0.05, period=0.1)
     wave = 1e-3 * np.sin(np.arange(8) / 8 * 2 * np.pi) ** 2
     moving = PlateCycle.from_samples(0.2, np.outer(wave, [1, 0, 0]))
     assert schedule.is_new(REST, 10.0)

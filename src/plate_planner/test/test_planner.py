@@ -130,7 +130,7 @@ def test_the_time_of_a_task_is_that_of_the_cycles_not_of_wrong_stamps():
         begin = 2000.0 + k * T
         state = planner.started(state, PlateCycle.rest(T), begin)
         state = planner.see(state, parts, begin + T / 2 - (1000.0 if k == 4 else 0.0))
-        state, _, progress = planner.answer(state)
+        state, _, progress = planner.next_request(state)
         assert progress.time_s >= 0.0
     assert state.task.reason is Reason.NO_PARTS
     assert state.task.text.startswith("aborted after 0.1 s: no parts for 1000 s")

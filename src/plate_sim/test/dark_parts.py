@@ -15,10 +15,10 @@ def covered(camera, image, point, reach=25):
     """Centre (2,) [px] and area [px2] of the black pixels around a point [px]."""
     u0, v0 = np.round(point).astype(int)
     window = np.s_[max(v0 - reach, 0) : v0 + reach + 1, max(u0 - reach, 0) : u0 + reach + 1]
-    share = (PLATE - image[window] / light_of(camera)[window]) / (PLATE - BLACK)
-    share[np.abs(share) < 0.01] = 0  # rounding of grey values
+    fraction = (PLATE - image[window] / light_of(camera)[window]) / (PLATE - BLACK)
+    fraction[np.abs(fraction) < 0.01] = 0  # rounding of grey values
     v, u = np.mgrid[window]
-    return np.array([np.sum(share * u), np.sum(share * v)]) / share.sum(), share.sum()
+    return np.array([np.sum(fraction * u), np.sum(fraction * v)]) / fraction.sum(), fraction.sum()
 
 
 def centroid(outline):

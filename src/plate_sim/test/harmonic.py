@@ -30,13 +30,13 @@ class TwoHarmonics:
     Static friction is `static` times mu g, and a tilt pulls a part along x by `share` of mu g.
     """
 
-    def __init__(self, gamma, static=1.0, share=0.0, frequency=30.0):
+    def __init__(self, gamma, static=1.0, fraction=0.0, frequency=30.0):
         self.w, self.period = 2 * np.pi * frequency, 1 / frequency
         sine = (1 - np.sqrt(33)) / 8  # where sin + 2 cos 2 = 0: the peak of cos - sin 2
         peak = np.sqrt(1 - sine**2) * (1 - 2 * sine)
         self.limit = MU * G
         self.top = gamma * self.limit / self.w / peak
-        self.hold, self.pull = static * self.limit, share * self.limit
+        self.hold, self.pull = static * self.limit, fraction * self.limit
 
     def cycle(self, turn=0.0):
         """The cycle, with an angular velocity in the first harmonic."""

@@ -51,13 +51,13 @@ def test_a_little_tilt_holds_and_moves_nothing():
 
 
 @pytest.mark.parametrize("step", [1e-3, 5e-5])
-@pytest.mark.parametrize("share", [0.9, 1.3, 1.7])
-def test_static_friction_holds_up_to_its_own_bound(share, step):
+@pytest.mark.parametrize("fraction", [0.9, 1.3, 1.7])
+def test_static_friction_holds_up_to_its_own_bound(fraction, step):
     # Holds to 1.5 mu g; once loose, mu g.
     path, speed = run(
-        along_x(share * MU_G), [[0, 0]], [[0, 0]], round(0.1 / step), Ground(static_ratio=1.5)
+        along_x(fraction * MU_G), [[0, 0]], [[0, 0]], round(0.1 / step), Ground(static_ratio=1.5)
     )
-    accel = share * MU_G if share < 1.5 else MU_G
+    accel = fraction * MU_G if fraction < 1.5 else MU_G
     assert speed[-1, 0] == pytest.approx([0.1 * accel, 0], rel=1e-6)
     assert path[-1, 0] == pytest.approx([0.005 * accel, 0], rel=1e-6)
 

@@ -65,18 +65,18 @@ def test_parts_differ_by_the_spread_and_each_seed_by_its_own():
     assert np.allclose(twice.part - 1, 2 * (again[0].part - 1))
 
 
-def patches(seed, share=0.1):
+def patches(seed, fraction=0.1):
     return FrictionField.draw(
-        Disturbances(friction_patches=share), len(GRID), np.random.default_rng(seed)
+        Disturbances(friction_patches=fraction), len(GRID), np.random.default_rng(seed)
     )
 
 
 def test_friction_over_the_plate_is_even_within_its_share():
-    share = np.concatenate([patches(k).friction(1.0, GRID, HOME) for k in range(60)]) - 1
-    assert np.all(np.abs(share) <= 0.1)
+    fraction = np.concatenate([patches(k).friction(1.0, GRID, HOME) for k in range(60)]) - 1
+    assert np.all(np.abs(fraction) <= 0.1)
     # A tenth of the plate in each tenth of the range; patches on one plate are not independent.
-    count, _ = np.histogram(share, 10, (-0.1, 0.1))
-    assert count / len(share) == pytest.approx(np.full(10, 0.1), abs=0.03)
+    count, _ = np.histogram(fraction, 10, (-0.1, 0.1))
+    assert count / len(fraction) == pytest.approx(np.full(10, 0.1), abs=0.03)
 
 
 def test_patches_have_their_wavelength():

@@ -149,14 +149,14 @@ def test_a_header_has_the_drives():
     text = c_header(DeviceLimits.of_rig(load_rig()), "rig.yaml", drives)
     assert "static const Drive DRIVES[MOTORS] = {\n    {7, 200000.0f, -1, false, 0u, " in text
     assert "    {8, 300000.0f, 1, true, 4294967295u, " in text
-    fit = [float(value) for value in re.findall(r"u, (\S+)f\},", text)]
+    weights = [float(value) for value in re.findall(r"u, (\S+)f\},", text)]
     for x, y, turn in np.eye(3):  # of the plate
         travel = [
             m.direction[0] * (x - turn * m.point[1]) + m.direction[1] * (y + turn * m.point[0])
             for m in load_rig().motors
         ]
-        assert np.dot(fit, travel) == pytest.approx(0, abs=1e-6)
-    assert max(map(abs, fit)) == 1
+        assert np.dot(weights, travel) == pytest.approx(0, abs=1e-6)
+    assert max(map(abs, weights)) == 1
     assert "DRIVES" not in c_header(DeviceLimits.of_rig(load_rig()), "rig.yaml")
 
 

@@ -149,8 +149,8 @@ def test_classes_come_as_the_mix_has_it_and_each_by_its_own_chance():
         other.open_hopper(3.0)
         run(other, 31)
         assert [part_class(name) for name in other.state.ids[10:]] == labels[-1][:12]
-    share = np.mean(np.concatenate(labels) == "grey")
-    assert share == pytest.approx(0.1, abs=4 * np.sqrt(0.1 * 0.9 / 400))
+    fraction = np.mean(np.concatenate(labels) == "grey")
+    assert fraction == pytest.approx(0.1, abs=4 * np.sqrt(0.1 * 0.9 / 400))
     assert labels[0] != labels[1]
 
 
@@ -318,9 +318,9 @@ def test_a_neighbour_in_the_jaws_is_reported():
 
 
 def test_grips_fail_at_the_requested_rate_and_move_the_part_a_little():
-    share, count, slipped = 0.3, 0, 0
+    fraction, count, slipped = 0.3, 0, 0
     for seed in range(16):
-        simulation = world("feed_bars", seed, Disturbances(pick_failure=share))
+        simulation = world("feed_bars", seed, Disturbances(pick_failure=fraction))
         for name in simulation.state.ids:
             row = simulation.state.ids.index(name)
             position, angle = simulation.state.position[row], simulation.state.angle[row]
@@ -334,7 +334,9 @@ def test_grips_fail_at_the_requested_rate_and_move_the_part_a_little():
             assert moved <= NUDGE_M
             assert turned <= NUDGE_RAD
             assert (moved > 0) == (not grip.success)
-    assert slipped / count == pytest.approx(share, abs=4 * np.sqrt(share * (1 - share) / count))
+    assert slipped / count == pytest.approx(
+        fraction, abs=4 * np.sqrt(fraction * (1 - fraction) / count)
+    )
 
 
 def test_a_part_that_slips_from_the_gripper_does_not_overlap_others():

@@ -50,12 +50,12 @@ def test_torque_of_a_disc_that_turns_in_place(turn):
 def test_friction_of_a_disc_agrees_with_scipy_quadrature(ratio):
     # Centre slips at `ratio` times the rim; in rings r, the mean over the angle by quad.
     def ring(r, kind):
-        def share(p):
+        def fraction(p):
             u, v = ratio - r * np.sin(p), r * np.cos(p)
             size = np.hypot(u, v)
             return (u if kind == "force" else r * np.cos(p) * v - r * np.sin(p) * u) / size
 
-        return quad(share, -np.pi / 2, np.pi / 2, epsabs=1e-11)[0] * 2 * r / np.pi
+        return quad(fraction, -np.pi / 2, np.pi / 2, epsabs=1e-11)[0] * 2 * r / np.pi
 
     edges = sorted({0.0, min(ratio, 1.0), 1.0})
     force = disc(0.01).friction([0.6 * ratio, 0.8 * ratio, 1 / 0.01])[0]

@@ -16,9 +16,9 @@ BOTH = pytest.mark.parametrize(
 )
 
 
-def steep(share, heading=0.0):
+def steep(fraction, heading=0.0):
     """Tilt whose pull is `share` of mu g, towards `heading` [rad]."""
-    return tuple(np.arcsin(share * MU * np.array([np.cos(heading), np.sin(heading)])))
+    return tuple(np.arcsin(fraction * MU * np.array([np.cos(heading), np.sin(heading)])))
 
 
 @BOTH
@@ -28,10 +28,10 @@ def test_a_part_slides_down_a_still_plate_only_if_static_friction_cannot_hold_it
 ):
     for heading in (0.0, 2.0):
         way = np.array([np.cos(heading), np.sin(heading)])
-        for share in (0.5, 0.999 * static, 1.001 * static, 1.8):
-            ground = Ground(static, steep(share, heading))
+        for fraction in (0.5, 0.999 * static, 1.001 * static, 1.8):
+            ground = Ground(static, steep(fraction, heading))
             run = simulate(PlateCycle.rest(0.3), STILL, STILL, MU, G, 2, ground=ground, **how)
-            slid = 0.5 * (share - 1) * LIMIT * 0.6**2 if share > static else 0.0
+            slid = 0.5 * (fraction - 1) * LIMIT * 0.6**2 if fraction > static else 0.0
             assert run.position[-1, 0] == pytest.approx(slid * way, abs=max(error, 2e-3 * slid))
             if slid == 0:
                 assert np.abs(run.position).max() < 1e-15
@@ -39,11 +39,11 @@ def test_a_part_slides_down_a_still_plate_only_if_static_friction_cannot_hold_it
 
 @BOTH
 def test_a_part_pushed_up_the_tilt_stops_and_comes_back_if_it_is_steep(how, error):
-    for static, share, back in ((1.0, 0.6, False), (1.5, 1.3, False), (1.2, 1.3, True)):
-        ground = Ground(static, steep(share))
+    for static, fraction, back in ((1.0, 0.6, False), (1.5, 1.3, False), (1.2, 1.3, True)):
+        ground = Ground(static, steep(fraction))
         run = simulate(PlateCycle.rest(0.3), STILL, [[-0.5, 0]], MU, G, ground=ground, **how)
-        stop = 0.5 / ((1 + share) * LIMIT)
-        down = 0.5 * (share - 1) * LIMIT * (0.3 - stop) ** 2 if back else 0.0
+        stop = 0.5 / ((1 + fraction) * LIMIT)
+        down = 0.5 * (fraction - 1) * LIMIT * (0.3 - stop) ** 2 if back else 0.0
         assert stop < 0.3
         assert run.position[-1, 0, 0] == pytest.approx(-0.25 * stop + down, abs=10 * error)
         assert run.position[-1, 0, 1] == 0
@@ -66,11 +66,11 @@ def test_static_friction_holds_longer_and_then_lets_go(how, error):
 
 
 @pytest.mark.parametrize(
-    ("gamma", "static", "share"),
+    ("gamma", "static", "fraction"),
     [(1.5, 1.2, 0.0), (2.5, 1.5, 0.3), (4, 1.3, -0.4), (4, 2.0, 0.0), (20, 1.5, 0.2), (3, 1, 0.5)],
 )
-def test_agrees_with_an_event_driven_truth(gamma, static, share):
-    scene, ground = TwoHarmonics(gamma, static, share), Ground(static, steep(share))
+def test_agrees_with_an_event_driven_truth(gamma, static, fraction):
+    scene, ground = TwoHarmonics(gamma, static, fraction), Ground(static, steep(fraction))
     truth, stuck = scene.travel(0.2)
     assert stuck >= 1 or gamma == 20
     options = {"cycles": 6, "ground": ground}
@@ -140,12 +140,12 @@ def test_held_parts_keep_their_place_on_a_tilted_plate_that_turns(how, error):
 @BOTH
 def test_a_plate_that_runs_away_carries_or_leaves_its_part(how, error):
     # From rest, x = a t^2/2: it never closes.
-    for share, static in ((0.9, 1.0), (1.2, 1.3), (1.4, 1.3), (5.0, 1.0)):
+    for fraction, static in ((0.9, 1.0), (1.2, 1.3), (1.4, 1.3), (5.0, 1.0)):
         pieces = np.zeros((1, 6, 3))
-        pieces[0, 2, :2] = 0.3 * share * LIMIT, 0.4 * share * LIMIT
+        pieces[0, 2, :2] = 0.3 * fraction * LIMIT, 0.4 * fraction * LIMIT
         motion = PlateMotion(np.array([0.0, 0.2]), pieces)
         run = simulate(motion, STILL, STILL, MU, G, ground=Ground(static), **how)
-        held = share if share <= static else 1.0
+        held = fraction if fraction <= static else 1.0
         way = 0.5 * held * LIMIT * 0.2**2 * np.array([0.6, 0.8])
         assert run.position[-1, 0] == pytest.approx(way, abs=20 * error)
 

@@ -266,8 +266,8 @@ def off(point, corners):
     """Distance (n,) [m] of points (n, 2) from the rim of a polygon."""
     after = np.roll(corners, -1, axis=0)
     side = after - corners
-    share = np.sum((point[:, None] - corners) * side, axis=2) / np.sum(side**2, axis=1)
-    nearest = corners + np.clip(share, 0, 1)[..., None] * side
+    fraction = np.sum((point[:, None] - corners) * side, axis=2) / np.sum(side**2, axis=1)
+    nearest = corners + np.clip(fraction, 0, 1)[..., None] * side
     return np.min(np.linalg.norm(point[:, None] - nearest, axis=2), axis=1)
 
 

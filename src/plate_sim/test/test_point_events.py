@@ -129,8 +129,8 @@ def test_rotation_throws_parts_off_that_ride_too_far_out():
     t = np.linspace(0, period, 4001)
     spin, push = cycle.twist(t)[:, 2], cycle.accel(t)[:, 2]
     radius = MU * G / np.max(np.hypot(spin**2, push))
-    for share, held in ((0.999, True), (1.001, False)):
-        position = np.array([[share * radius, 0.0]])
+    for fraction, held in ((0.999, True), (1.001, False)):
+        position = np.array([[fraction * radius, 0.0]])
         speed = [surface_velocity(cycle.pose(0)[0], cycle.twist(0)[0], position[0])]
         run = simulate(cycle, position, speed, MU, G, cycles=2)
         away = np.abs(to_plate(cycle.pose(0)[0], run.position[-1]) - position).max()

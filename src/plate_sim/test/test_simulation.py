@@ -140,8 +140,8 @@ def test_blur_can_be_switched_off(latency):
 
 def test_the_requested_fraction_of_images_is_missed_and_no_motion_changes():
     seen, ends = [], []
-    for share in (0.3, 0.0):
-        simulation = Simulation(RIG, SORT_4, 5, Disturbances(missed_images=share))
+    for fraction in (0.3, 0.0):
+        simulation = Simulation(RIG, SORT_4, 5, Disturbances(missed_images=fraction))
         seen.append([simulation.capture() is not None for _ in range(400)])
         simulation.run(shaking())
         ends.append(simulation.state.position)

@@ -74,14 +74,14 @@ def integrated(suspension, cycle, samples):
         np.array(getattr(suspension, name)) for name in ("mass", "damping", "stiffness")
     )
     gain, corner = np.array(suspension.motor_gain), 2 * pi * suspension.motor_bandwidth_hz
-    share, lags = np.linalg.pinv(PUSH), np.isfinite(suspension.motor_bandwidth_hz)
+    fraction, lags = np.linalg.pinv(PUSH), np.isfinite(suspension.motor_bandwidth_hz)
     of_mass, of_damping, of_stiffness = suspension.feedforward
 
     def required_force(t, q, v):
         c, cd, cdd = cycle.pose(t)[0], cycle.twist(t)[0], cycle.accel(t)[0]
         ahead = of_mass * mass @ cdd + of_damping * damping @ cd + of_stiffness * stiffness @ c
         stiff, damped = suspension.servo
-        return gain * (share @ ahead + PUSH.T @ (stiff * (c - q) + damped * (cd - v)))
+        return gain * (fraction @ ahead + PUSH.T @ (stiff * (c - q) + damped * (cd - v)))
 
     def rates(t, z):
         q, v = z[:3], z[3:6]

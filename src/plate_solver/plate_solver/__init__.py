@@ -6,7 +6,7 @@ The public names are the names listed below and the names of the subpackages `av
 
 from typing import TYPE_CHECKING, Any
 
-from .controller import DRIFT_TOLERANCE, EFFORT, EXACT_MISS, METHODS, Answer, Controller
+from .controller import DRIFT_TOLERANCE, EFFORT, EXACT_MISS, METHODS, Controller, CycleResult
 from .goal import Goal, Solution, Status
 from .limits import EQUAL_WEIGHT, Limits, limit_use, limit_uses
 
@@ -20,8 +20,8 @@ __all__ = [
     "EQUAL_WEIGHT",
     "EXACT_MISS",
     "METHODS",
-    "Answer",
     "Controller",
+    "CycleResult",
     "Goal",
     "Limits",
     "Manipulability",

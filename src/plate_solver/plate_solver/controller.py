@@ -48,7 +48,7 @@ cycles correct the remaining error."""
 FRACTIONS = (1.0, 0.5, 0.25)
 """Fractions of a goal. The solver tries the fractions in this order until no part leaves the plate.
 If forces are requested, the displacements and rotations are multiplied by the fraction. If targets
-are requested, their weights are multiplied by the square of the fraction (`Goal.times`)."""
+are requested, their weights are multiplied by the square of the fraction (`Goal.scaled`)."""
 
 GOOD_MISS = 0.15
 """Maximum acceptable error (root mean square), as a fraction of the requested displacement. If the
@@ -74,8 +74,8 @@ With larger values, the search is slower and the result is hardly better (docs/r
 
 
 @dataclass(frozen=True)
-class Answer:
-    """Result of `Controller.answer`. The result contains the next cycle, and the accuracy with
+class CycleResult:
+    """Result of `Controller.solve`. The result contains the next cycle, and the accuracy with
     which this cycle meets the request.
 
     Attributes
@@ -154,7 +154,7 @@ class Controller:
 
     @property
     def cut_short(self) -> int:
-        """Number of searches that the deadline `until` of `answer` ended early."""
+        """Number of searches that the deadline `until` of `solve` ended early."""
         return sum(solver.cut_short for solver in self._solvers.values())
 
     def reset(self) -> None:
@@ -176,12 +176,12 @@ class Controller:
             requests.append(CycleRequest.make(parts, 1e-4 * np.ones((count, 2))))
         for request in requests:
             for method in self._solvers:
-                self._answer(method, request, rest, math.inf)
+                self._solve(method, request, rest, math.inf)
         self.reset()
 
-    def answer(
+    def solve(
         self, request: CycleRequest, running: PlateCycle | None, until: float = math.inf
-    ) -> Answer:
+    ) -> CycleResult:
         """Compute the cycle that follows the running cycle.
 
         Parameters
@@ -198,14 +198,14 @@ class Controller:
         PlateError
             If the request cannot be converted to a goal, see `form_goal`.
         """
-        return self._answer(self.method, request, running, until)
+        return self._solve(self.method, request, running, until)
 
-    def _answer(
+    def _solve(
         self, method: str, request: CycleRequest, running: PlateCycle | None, until: float
-    ) -> Answer:
+    ) -> CycleResult:
         if not len(request.parts):
             self._memory = Memory()
-            return Answer(PlateCycle.rest(IDLE_S), None, "no parts, plate at rest", 0.0, 0.0)
+            return CycleResult(PlateCycle.rest(IDLE_S), None, "no parts, plate at rest", 0.0, 0.0)
         rig, solver, facts = self._rig, self._solvers[method], RequestFacts.of(self._rig, request)
         certain = request.plate is not None and request.start is not None
         free_end = method == "sinusoids" and facts.far and certain
@@ -219,13 +219,15 @@ class Controller:
         rest = PlateCycle.rest(period)
         if not np.any(goal.error(goal.end(*finely_sampled(rest)))[0]):
             if goal.multi_cycle:
-                return Answer(rest, None, "all parts are at their targets: plate at rest", 0.0, 0.0)
-            return Answer(rest, None, "no motion is requested: plate at rest", 0.0, goal.size)
+                return CycleResult(
+                    rest, None, "all parts are at their targets: plate at rest", 0.0, 0.0
+                )
+            return CycleResult(rest, None, "no motion is requested: plate at rest", 0.0, goal.size)
         for fraction in FRACTIONS:
             miss = EXACT_MISS if facts.exact else GOOD_MISS
             solution = search(solver, goal, fraction, period, miss, until)
             if not leaves_plate(rig, request.parts.ids, goal, np.asarray(solution.predicted)):
-                return answer_of(goal, solution, fraction, period)
+                return result_of(goal, solution, fraction, period)
             solver.forget()
         return refusal(goal, solution, rest)
 
@@ -233,7 +235,7 @@ class Controller:
 def search(
     solver: MotionSolver, goal: Goal, fraction: float, period: float, miss: float, until: float
 ) -> Solution:
-    """Search for a motion that meets a fraction of a goal (`Goal.times`).
+    """Search for a motion that meets a fraction of a goal (`Goal.scaled`).
 
     Parameters
     ----------
@@ -241,7 +243,7 @@ def search(
         The search starts from the solver's last motion, and uses its random generator.
     goal : Goal
     fraction : float
-        Fraction of the goal, 0 to 1, as in `Goal.times`.
+        Fraction of the goal, 0 to 1, as in `Goal.scaled`.
     period : float
         Length of the cycle [s].
     miss : float
@@ -253,7 +255,7 @@ def search(
     """
     tolerance = period * (TARGET_TOLERANCE if goal.multi_cycle else DRIFT_TOLERANCE)
     good_enough = 0.0 if goal.multi_cycle else miss * fraction * goal.size
-    return solver.steer(goal.times(fraction), tolerance, max(good_enough, tolerance), until)
+    return solver.steer(goal.scaled(fraction), tolerance, max(good_enough, tolerance), until)
 
 
 def leaves_plate(rig: Rig, ids: tuple[str, ...], goal: Goal, predicted: np.ndarray) -> bool:
@@ -281,13 +283,14 @@ def leaves_plate(rig: Rig, ids: tuple[str, ...], goal: Goal, predicted: np.ndarr
     return bool(np.any(out & (np.abs(end) > np.abs(goal.position))))
 
 
-def answer_of(goal: Goal, solution: Solution, fraction: float, period: float) -> Answer:
-    """Convert the solution of a fraction of a goal to an `Answer`.
+def result_of(goal: Goal, solution: Solution, fraction: float, period: float) -> CycleResult:
+    """Convert the solution of a fraction of a goal to a `CycleResult`.
 
-    `Answer.error_m` and the residual of the solution refer to the whole goal, not to the fraction.
+    `CycleResult.error_m` and the residual of the solution refer to the whole goal, not to the
+    fraction.
     """
     if goal.multi_cycle:
-        return Answer(solution.cycle, solution, solution.message, 0.0, 0.0, fraction)
+        return CycleResult(solution.cycle, solution, solution.message, 0.0, 0.0, fraction)
     unit = goal.friction_accel[:, None] * period**2
     if fraction < 1:
         solution = replace(
@@ -299,15 +302,15 @@ def answer_of(goal: Goal, solution: Solution, fraction: float, period: float) ->
             fraction=fraction,
         )
     error = (solution.residual * unit).ravel()
-    if goal.rotations is not None:
-        weight = goal.rotations.weight[goal.rotations.weight > 0]
+    if goal.part_rotations is not None:
+        weight = goal.part_rotations.weight[goal.part_rotations.weight > 0]
         error = np.append(error, weight * goal.angle_errors(np.asarray(solution.predicted)))
     rms = float(np.sqrt(np.mean(error**2)))
-    return Answer(solution.cycle, solution, solution.message, rms, goal.size, fraction)
+    return CycleResult(solution.cycle, solution, solution.message, rms, goal.size, fraction)
 
 
-def refusal(goal: Goal, solution: Solution, rest: PlateCycle) -> Answer:
-    """Return an `Answer` with a cycle at rest. The cycle at rest replaces a solution in which a
+def refusal(goal: Goal, solution: Solution, rest: PlateCycle) -> CycleResult:
+    """Return a `CycleResult` with a cycle at rest. The cycle at rest replaces a solution in which a
     part would leave the plate."""
     message = "a part would leave the plate: one cycle at rest"
     unit = goal.friction_accel[:, None] * rest.period**2
@@ -321,4 +324,4 @@ def refusal(goal: Goal, solution: Solution, rest: PlateCycle) -> Answer:
         fraction=0.0,
     )
     requested = 0.0 if goal.multi_cycle else goal.size
-    return Answer(rest, solution, message, requested, requested, 0.0)
+    return CycleResult(rest, solution, message, requested, requested, 0.0)

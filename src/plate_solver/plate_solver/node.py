@@ -35,7 +35,7 @@ from plate_core.ros import (
 from plate_core.status import INPUT_TIMEOUT_S, Finding, Input, Level, used, worst
 from plate_interfaces.msg import PartForces
 
-from .controller import METHODS, Answer, Controller
+from .controller import METHODS, Controller, CycleResult
 from .library import condition_number
 
 RESTART_NS = 1_000_000_000
@@ -163,7 +163,7 @@ class SolverNode(SafeLifecycleNode[Options]):
             "answers": 0, "late_answers": 0, "refused_messages": 0, "no_solution": 0,
             "not_played": 0,
         }  # fmt: skip
-        self._last: Answer | None = None
+        self._last: CycleResult | None = None
         self._parts: np.ndarray = np.empty((0, 2))
         timeout_s = self.options.input_timeout_s
         self._input = Input(
@@ -193,7 +193,7 @@ class SolverNode(SafeLifecycleNode[Options]):
             self._controller.reset()
         # A request with the same stamp as the last request is answered with the same cycle again.
         # There is one exception: if the new request has no parts and the last cycle moves the
-        # plate, the answer is a cycle at rest. The planner sends such a request at the end of a
+        # plate, the result is a cycle at rest. The planner sends such a request at the end of a
         # task. At this time, the driver may refuse a moving cycle. In lockstep, the simulator then
         # waits until the driver accepts a cycle for this image.
         repeated = newest == stamp_ns and (len(request.parts) > 0 or not self._sent[-1].cycle.moves)
@@ -202,7 +202,7 @@ class SolverNode(SafeLifecycleNode[Options]):
         elif repeated:
             cycle = self._sent[-1].cycle
         else:
-            cycle = self._answer(request, stamp_ns, nanoseconds(msg.start))
+            cycle = self._solve(request, stamp_ns, nanoseconds(msg.start))
         self._send(cycle, msg.header.stamp)
         if not repeated:
             if newest == stamp_ns:
@@ -222,7 +222,7 @@ class SolverNode(SafeLifecycleNode[Options]):
         self._tally.why = text
         self.get_logger().warning(text, throttle_duration_sec=WARN_S)
 
-    def _answer(self, request: CycleRequest, stamp_ns: int, start_ns: int) -> PlateCycle:
+    def _solve(self, request: CycleRequest, stamp_ns: int, start_ns: int) -> PlateCycle:
         began, running = time.monotonic(), self._running(stamp_ns)
         self._adapt(request.plate)
         if not start_ns:
@@ -230,16 +230,16 @@ class SolverNode(SafeLifecycleNode[Options]):
         remaining_s = min(1e-9 * (start_ns - self._now_ns(stamp_ns)), MAX_S) - self._handover_s
         try:
             until = began + remaining_s if self._handover_s else math.inf
-            answer = self._controller.answer(request, running, until)
+            result = self._controller.solve(request, running, until)
         except (PlateError, np.linalg.LinAlgError) as error:
             return self._rest(str(error))
         took = time.monotonic() - began
         self._count["answers"] += 1
-        self._last, self._parts = answer, request.parts.position
-        if answer.solution is not None:
+        self._last, self._parts = result, request.parts.position
+        if result.solution is not None:
             self._tally.solve_ms.append(1e3 * took)
-            self._tally.errors.append((answer.error_m, answer.requested_m))
-        return answer.cycle
+            self._tally.errors.append((result.error_m, result.requested_m))
+        return result.cycle
 
     def _adapt(self, plate: np.ndarray | None) -> None:
         """Increase the publishing margin if the last cycle was not executed, otherwise decrease it.

@@ -21,7 +21,7 @@ METHOD = pytest.mark.parametrize("method", ["sinusoids", "rotations"])
 class Loop:
     """A plate with parts, and what a planner would ask of a controller there.
 
-    The answer to image k, taken as cycle k begins, is the motion of cycle k + 1.
+    The result for image k, taken as cycle k begins, is the motion of cycle k + 1.
     """
 
     def __init__(self, rig, controller, position):
@@ -31,7 +31,7 @@ class Loop:
         self.velocity = np.zeros_like(position)
         self.drift = np.zeros_like(position)
         self.running = None
-        self.answer = None
+        self.result = None
         self.period = 0.0
 
     def step(self, request, order=None, tolerance=0.0, blind=False):
@@ -43,7 +43,7 @@ class Loop:
         allowed = np.full_like(force, tolerance * self.rig.parts.mass_kg / period)
         parts = Parts.make(self.ids, self.position, self.drift).take(order)
         requested = CycleRequest.make(parts, force[order], allowed[order])
-        self.answer = self.controller.answer(requested, None if blind else self.running)
+        self.result = self.controller.solve(requested, None if blind else self.running)
         self.pass_cycle()
         return self.drift
 
@@ -53,13 +53,13 @@ class Loop:
         run = simulate(cycle, self.position, self.velocity, friction.mu, friction.gravity)
         self.drift = (run.position[-1] - self.position) / cycle.period
         self.position, self.velocity = run.position[-1], run.velocity[-1]
-        self.running = self.answer.cycle
+        self.running = self.result.cycle
         self.period = self.running.period
 
 
 def follow(rig, scene, method, count, seeds=3, cycles=12, **how):
     """Median over seeds of the drift's error, as a fraction of the requested drift of 10 mm/s."""
-    shares = []
+    fractions = []
     for seed in range(seeds):
         rng, position = scene(seed, count)
         loop = Loop(rig, Controller(rig, method), position)
@@ -70,11 +70,11 @@ def follow(rig, scene, method, count, seeds=3, cycles=12, **how):
                 how["order"] = np.random.default_rng(k).permutation(count)
             options = {name: how[name] for name in ("order", "blind") if name in how}
             drift.append(loop.step(request, **options).copy())
-            assert loop.answer.cycle.starts_at_rest
-            assert usage(rig, loop.answer.cycle).worst <= 1
+            assert loop.result.cycle.starts_at_rest
+            assert usage(rig, loop.result.cycle).worst <= 1
         error = np.array(drift[4:]) - request
-        shares.append(np.sqrt(np.mean(error**2) / np.mean(request**2)))
-    return np.median(shares)
+        fractions.append(np.sqrt(np.mean(error**2) / np.mean(request**2)))
+    return np.median(fractions)
 
 
 # Measured: 0.04, 0.03, 0.05 and 0.05, 0.12, 0.18; the search itself may stop at 0.15.
@@ -106,18 +106,18 @@ def test_velocities_belong_to_ids_whatever_their_order(rig, scene):
 def test_force_times_time_over_mass_is_the_change_of_drift(rig):
     position = np.array([[0.1, 0.04]])
     controller = Controller(rig)
-    period = controller.answer(CycleRequest.make(Parts.make(("a",), position)), None).cycle.period
+    period = controller.solve(CycleRequest.make(Parts.make(("a",), position)), None).cycle.period
     controller.reset()
     force, drift = np.array([[2.5e-3, -1e-3]]), np.array([[-0.004, -0.004]])
     request = CycleRequest.make(Parts.make(("a",), position, drift), force)
-    answer = controller.answer(request, None)
-    assert answer.cycle.period == period
-    run = simulate(answer.cycle, position, np.zeros((1, 2)), rig.friction.mu)
+    result = controller.solve(request, None)
+    assert result.cycle.period == period
+    run = simulate(result.cycle, position, np.zeros((1, 2)), rig.friction.mu)
     moved = (run.position[-1] - position) / period
     expected = drift + force * period / rig.parts.mass_kg
     np.testing.assert_allclose(moved, expected, atol=0.15 * np.max(np.abs(expected)))
-    assert answer.requested_m == pytest.approx(np.sqrt(np.mean(expected**2)) * period)
-    assert answer.error_m <= 0.15 * answer.requested_m
+    assert result.requested_m == pytest.approx(np.sqrt(np.mean(expected**2)) * period)
+    assert result.error_m <= 0.15 * result.requested_m
 
 
 @METHOD
@@ -129,9 +129,9 @@ def test_the_predicted_end_near_the_places_is_reached(rig, scene, method):
         aim = position + [0.002, -0.001]
         zone = Targets(aim - 0.0005, aim + 0.0005, np.ones((4, 2)), 0.0)
         request = CycleRequest.make(Parts.make(tuple("abcd"), position), targets=zone)
-        answer = controller.answer(request, None)
-        end = simulate(answer.cycle, position, np.zeros((4, 2)), rig.friction.mu).position[-1]
-        predicted = answer.solution.predicted.reshape(2, 4).T
+        result = controller.solve(request, None)
+        end = simulate(result.cycle, position, np.zeros((4, 2)), rig.friction.mu).position[-1]
+        predicted = result.solution.predicted.reshape(2, 4).T
         np.testing.assert_allclose(end, predicted, atol=0.15e-3)
         controller.reset()
 
@@ -141,13 +141,13 @@ def test_no_parts_no_motion(rig, scene, method):
     _, position = scene(0, 2)
     loop = Loop(rig, Controller(rig, method), position)
     loop.step(np.full((2, 2), 0.005))
-    answer = loop.controller.answer(
+    result = loop.controller.solve(
         CycleRequest.make(Parts.make((), np.zeros((0, 2)))), loop.running
     )
-    assert np.all(answer.cycle.knot_pose == 0)
-    assert answer.cycle.starts_at_rest
-    assert answer.solution is None
-    assert (answer.error_m, answer.requested_m) == (0, 0)
+    assert np.all(result.cycle.knot_pose == 0)
+    assert result.cycle.starts_at_rest
+    assert result.solution is None
+    assert (result.error_m, result.requested_m) == (0, 0)
     # And on again.
     loop.pass_cycle()
     drift = [loop.step(np.full((2, 2), 0.005)).copy() for _ in range(6)]
@@ -161,13 +161,13 @@ def test_forces_that_a_plate_at_rest_meets_need_no_motion(rig, scene, method):
     parts = Parts.make(("part_0", "part_1", "part_2"), position)
     force = np.array([[0.0, 0.0], [1e-3, 0.0], [0.0, -1e-3]])
     for tolerance in (np.abs(force) * 2, np.full((3, 2), np.inf)):
-        answer = controller.answer(CycleRequest.make(parts, force, tolerance), None)
-        assert not answer.cycle.moves
-        assert (answer.error_m, answer.solution) == (0.0, None)
-    assert not controller.answer(CycleRequest.make(parts), None).cycle.moves
-    assert controller.answer(CycleRequest.make(parts, force), None).cycle.moves
+        result = controller.solve(CycleRequest.make(parts, force, tolerance), None)
+        assert not result.cycle.moves
+        assert (result.error_m, result.solution) == (0.0, None)
+    assert not controller.solve(CycleRequest.make(parts), None).cycle.moves
+    assert controller.solve(CycleRequest.make(parts, force), None).cycle.moves
     turned = CycleRequest.make(parts, torque=np.array([1e-6, 0.0, 0.0]))
-    assert controller.answer(turned, None).cycle.moves
+    assert controller.solve(turned, None).cycle.moves
 
 
 def test_parts_that_return_to_an_empty_plate_are_at_rest(rig):
@@ -177,12 +177,12 @@ def test_parts_that_return_to_an_empty_plate_are_at_rest(rig):
     controller = Controller(rig)
     wave = np.cos(2 * np.pi * np.arange(64) / 64)
     swing = PlateCycle.from_samples(0.2, np.outer(wave, [0.01, 0, 0]))
-    controller.answer(CycleRequest.make(parts, np.full((2, 2), 1e-3)), swing)
-    controller.answer(CycleRequest.make(gone), swing)
+    controller.solve(CycleRequest.make(parts, np.full((2, 2), 1e-3)), swing)
+    controller.solve(CycleRequest.make(gone), swing)
     zone = Targets(position + 0.0005, position + 0.0015, np.ones((2, 2)), 0.0)
-    answer = controller.answer(CycleRequest.make(parts, targets=zone), PlateCycle.rest(0.1))
-    end = simulate(answer.cycle, position, np.zeros((2, 2)), rig.friction.mu).position[-1]
-    predicted = answer.solution.predicted.reshape(2, 2).T
+    result = controller.solve(CycleRequest.make(parts, targets=zone), PlateCycle.rest(0.1))
+    end = simulate(result.cycle, position, np.zeros((2, 2)), rig.friction.mu).position[-1]
+    predicted = result.solution.predicted.reshape(2, 2).T
     np.testing.assert_allclose(end, predicted, atol=0.15e-3)
 
 
@@ -198,7 +198,7 @@ def test_part_driven_outward_stays_and_does_not_stop_the_other(rig, method, way)
         loop.step(np.array([0.02 * way, [0.005, 0.005]]))
         assert np.all(np.abs(loop.position) < half)
     # The other part does not wait: it covers most of its requested distance.
-    requested = 25 * loop.answer.cycle.period * np.array([0.005, 0.005])
+    requested = 25 * loop.result.cycle.period * np.array([0.005, 0.005])
     assert np.all(loop.position[1] - position[1] > 0.6 * requested)
     # It returns when requested.
     before = loop.position[0] @ way
@@ -208,7 +208,7 @@ def test_part_driven_outward_stays_and_does_not_stop_the_other(rig, method, way)
 
 
 def test_part_beyond_the_edge_may_come_in(rig):
-    # Where vision sees a part on the rim, every answer must not be rest.
+    # Where vision sees a part on the rim, not every result may be rest.
     position = np.array([[rig.plate.half[0] - 0.001, 0.05]])
     loop = Loop(rig, Controller(rig), position)
     for _ in range(8):
@@ -225,7 +225,7 @@ def test_method_can_change_on_the_way(rig, scene):
         loop.controller.method = METHODS["AB"[(k // 6) % 2]]
         loop.step(request)
         # Knots of Method B are evenly spaced, those of rotations are not.
-        uneven.append(np.ptp(np.diff(loop.answer.cycle.times)) > 1e-6)
+        uneven.append(np.ptp(np.diff(loop.result.cycle.times)) > 1e-6)
         if k % 6 >= 3:
             errors.append(np.max(np.abs(loop.drift - request)))
     assert [uneven[k] for k in (0, 6, 12, 18)] == [True, False, True, False]
@@ -280,7 +280,7 @@ def test_tolerance_is_freedom(rig, scene):
             for k in range(8):
                 loop.step(request, tolerance=tolerance)
                 if k >= 4:
-                    steps[tolerance] += loop.answer.solution.iterations
+                    steps[tolerance] += loop.result.solution.iterations
                     assert np.max(np.abs(loop.drift - request)) < tolerance + 0.003
     assert steps[0.002] < 0.8 * steps[0.0]
 
@@ -290,12 +290,12 @@ def test_a_state_at_the_start_is_taken_over(rig):
     parts = Parts.make(("a", "b"), np.array([[0.1, 0.04], [-0.1, 0.0]]))
     force = np.full((2, 2), 1e-3)
     controller = Controller(rig)
-    controller.answer(CycleRequest.make(parts, force), None)
+    controller.solve(CycleRequest.make(parts, force), None)
     state = np.array([[0.05, 0.0, 0.01, 0.0], [-0.15, 0.02, 0.0, -0.01]])
     rows = np.hstack([np.zeros((2, 3)), state])[:, [3, 4, 5, 6]]
-    answer = controller.answer(CycleRequest.make(parts, force, start=rows), PlateCycle.rest(0.1))
-    run = simulate(answer.cycle, state[:, :2].copy(), state[:, 2:].copy(), rig.friction.mu)
-    predicted = np.asarray(answer.solution.predicted)[:4].reshape(2, 2).T
+    result = controller.solve(CycleRequest.make(parts, force, start=rows), PlateCycle.rest(0.1))
+    run = simulate(result.cycle, state[:, :2].copy(), state[:, 2:].copy(), rig.friction.mu)
+    predicted = np.asarray(result.solution.predicted)[:4].reshape(2, 2).T
     np.testing.assert_allclose(run.position[-1], predicted, atol=2e-4)
 
 
@@ -310,9 +310,9 @@ def test_any_number_of_parts_is_answered(rig, method, count):
     targets = [Targets(aim, aim, np.full((count, 2), 0.1), clear) for clear in (0.0, 0.019, 0.05)]
     requested = [CycleRequest.make(parts, targets=each) for each in targets]
     for request in (*requested, CycleRequest.make(parts, np.full((count, 2), 1e-3))):
-        answer = controller.answer(request, PlateCycle.rest(0.1))
-        assert usage(rig, answer.cycle).worst <= 1
-        assert np.all(np.isfinite(answer.solution.residual))
+        result = controller.solve(request, PlateCycle.rest(0.1))
+        assert usage(rig, result.cycle).worst <= 1
+        assert np.all(np.isfinite(result.solution.residual))
 
 
 @METHOD
@@ -323,7 +323,7 @@ def test_a_deadline_ends_a_hard_search_and_is_reported(rig, method):
     aim = np.full((100, 2), 0.1)
     request = CycleRequest.make(parts, targets=Targets(aim, aim, np.ones((100, 2)), 1.0))
     controller = Controller(rig, method, restarts=1000)
-    hard = controller.answer(request, None, time.monotonic() + 0.01)
+    hard = controller.solve(request, None, time.monotonic() + 0.01)
     assert usage(rig, hard.cycle).worst <= 1
     assert hard.solution.iterations < 16 * 100
     assert controller.cut_short == 1

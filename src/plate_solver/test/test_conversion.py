@@ -8,7 +8,7 @@ import pytest
 
 from plate_core import AngleTargets, CycleRequest, Parts, PlateCycle, PlateError, Targets
 from plate_sim import simulate
-from plate_solver.controller import Controller, answer_of, leaves_plate, refusal, search
+from plate_solver.controller import Controller, leaves_plate, refusal, result_of, search
 from plate_solver.goal import Solution, Status
 from plate_solver.goal.conversion import RequestFacts, form_goal
 from plate_solver.sinusoids.solver import SinusoidCycles
@@ -48,7 +48,7 @@ def test_a_force_becomes_an_interval_of_displacements(heavy):
     assert goal.displacement == pytest.approx(np.array([[6e-3, -2e-3], [2e-3, 0.0]]))
     assert goal.tolerance == pytest.approx(np.full((2, 2), 0.2e-3))
     assert (goal.multi_cycle, goal.weight, goal.coast, goal.free_end) == (False, 1.0, 0.0, False)
-    assert goal.rotations is None
+    assert goal.part_rotations is None
 
 
 def test_a_torque_becomes_a_rotation(heavy):
@@ -57,8 +57,8 @@ def test_a_torque_becomes_a_rotation(heavy):
     A torque of 0 requests nothing: its weight is 0, the other's is the part's radius.
     """
     goal = goal_of(heavy, CycleRequest.make(moving(), torque=np.array([4e-5, 0.0]), period=0.1))
-    assert goal.rotations.low[0] == goal.rotations.high[0] == pytest.approx(0.8, rel=1e-3)
-    assert goal.rotations.weight == pytest.approx([RADIUS_M, 0.0], rel=1e-3)
+    assert goal.part_rotations.low[0] == goal.part_rotations.high[0] == pytest.approx(0.8, rel=1e-3)
+    assert goal.part_rotations.weight == pytest.approx([RADIUS_M, 0.0], rel=1e-3)
 
 
 def test_forces_that_lead_off_the_plate_are_cut_at_the_edge(heavy):
@@ -80,7 +80,7 @@ def test_a_target_becomes_an_interval_of_displacements(heavy):
     assert (goal.multi_cycle, goal.coast, goal.free_end) == (True, 0.03, True)
     clear = 2 * RADIUS_M + 0.003
     assert goal.clear == pytest.approx(np.full((2, 2), clear))
-    assert goal.rotations is None
+    assert goal.part_rotations is None
 
 
 def test_a_target_angle_becomes_a_rotation_from_the_predicted_angle(heavy):
@@ -91,8 +91,8 @@ def test_a_target_angle_becomes_a_rotation_from_the_predicted_angle(heavy):
         moving(PLACE[:1], angle=np.array([0.1])), targets=Targets(free, free, free, 0.0, angles)
     )
     goal = goal_of(heavy, request, rotation=np.array([0.05]))
-    assert (goal.rotations.low[0], goal.rotations.high[0]) == pytest.approx((0.15, 0.35))
-    assert goal.rotations.weight[0] == 0.02
+    assert (goal.part_rotations.low[0], goal.part_rotations.high[0]) == pytest.approx((0.15, 0.35))
+    assert goal.part_rotations.weight[0] == 0.02
 
 
 def test_forces_beside_targets_are_information(heavy):
@@ -102,7 +102,7 @@ def test_forces_beside_targets_are_information(heavy):
     with_targets = goal_of(heavy, shown)
     assert np.array_equal(with_targets.displacement, bare.displacement)
     assert np.array_equal(with_targets.tolerance, bare.tolerance)
-    assert with_targets.rotations is None
+    assert with_targets.part_rotations is None
 
 
 def test_facts_of_a_request(rig):
@@ -233,7 +233,13 @@ def test_each_step_gives_the_same_for_the_same_input_and_leaves_the_input_alone(
         found = search(SinusoidCycles(rig, seed=1), goal, 1.0, 0.1, 0.15, np.inf)
         assert not leaves_plate(rig, IDS, goal, found.predicted)
         ends.append(
-            [start.position, start.spin, goal.displacement, goal.rotations.low, found.predicted]
+            [
+                start.position,
+                start.spin,
+                goal.displacement,
+                goal.part_rotations.low,
+                found.predicted,
+            ]
         )
     for first, second in zip(*ends, strict=True):
         assert np.array_equal(first, second)
@@ -288,7 +294,7 @@ def half_way(rig, **goal):
 def test_the_error_of_a_fraction_is_relative_to_the_whole_request(rig):
     """Half of the request is missed beforehand: 1 + 1 mm along x, 2 - 2 mm along y."""
     goal, found = half_way(rig)
-    whole, half = answer_of(goal, found, 1.0, 0.2), answer_of(goal, found, 0.5, 0.2)
+    whole, half = result_of(goal, found, 1.0, 0.2), result_of(goal, found, 0.5, 0.2)
     assert (whole.fraction, whole.message, whole.solution.success) == (1.0, "found", True)
     assert whole.error_m == pytest.approx(np.sqrt((1e-6 + 4e-6) / 2))
     assert half.error_m == pytest.approx(np.sqrt((4e-6 + 0.0) / 2))
@@ -300,20 +306,20 @@ def test_the_error_of_a_fraction_is_relative_to_the_whole_request(rig):
 
 def test_a_goal_that_lasts_is_never_missed(rig):
     goal, found = half_way(rig, multi_cycle=True)
-    answer = answer_of(goal, found, 0.5, 0.2)
-    assert (answer.error_m, answer.requested_m, answer.fraction) == (0.0, 0.0, 0.5)
-    assert answer.solution is found
+    result = result_of(goal, found, 0.5, 0.2)
+    assert (result.error_m, result.requested_m, result.fraction) == (0.0, 0.0, 0.5)
+    assert result.solution is found
 
 
 def test_in_place_of_a_refused_motion_the_plate_rests_and_all_is_missed(rig):
     goal, found = half_way(rig)
-    answer = refusal(goal, found, PlateCycle.rest(0.2))
-    assert not answer.cycle.moves
-    assert answer.solution.cycle is answer.cycle
-    assert answer.error_m == answer.requested_m == pytest.approx(np.sqrt(10e-6))
-    assert answer.solution.residual == pytest.approx(np.array([[0.02, -0.04]]))
-    assert (answer.solution.success, answer.solution.status) == (False, Status.FAILED)
-    assert (answer.fraction, answer.solution.fraction) == (0.0, 0.0)
+    result = refusal(goal, found, PlateCycle.rest(0.2))
+    assert not result.cycle.moves
+    assert result.solution.cycle is result.cycle
+    assert result.error_m == result.requested_m == pytest.approx(np.sqrt(10e-6))
+    assert result.solution.residual == pytest.approx(np.array([[0.02, -0.04]]))
+    assert (result.solution.success, result.solution.status) == (False, Status.FAILED)
+    assert (result.fraction, result.solution.fraction) == (0.0, 0.0)
     multi_cycle, found = half_way(rig, multi_cycle=True)
     assert refusal(multi_cycle, found, PlateCycle.rest(0.2)).requested_m == 0.0
 
@@ -324,12 +330,12 @@ def test_a_missed_rotation_counts_by_its_arc(rig):
     start = predict_start(rig, request, Memory(), None, True, False)
     goal = form_goal(rig, request, start, 0.2, 0.0, False)
     rotations = replace(
-        goal.rotations, low=np.full(2, 0.3), high=np.full(2, 0.4), weight=np.array([0.02, 0])
+        goal.part_rotations, low=np.full(2, 0.3), high=np.full(2, 0.4), weight=np.array([0.02, 0])
     )
     end = np.array([*PLACE.T.ravel(), 0.2, 9.0])
     found = Solution(True, "found", PlateCycle.rest(0.2), np.zeros((2, 2)), 3, 1.0, predicted=end)
-    answer = answer_of(replace(goal, rotations=rotations), found, 1.0, 0.2)
-    assert answer.error_m == pytest.approx(0.002 / np.sqrt(5))
+    result = result_of(replace(goal, part_rotations=rotations), found, 1.0, 0.2)
+    assert result.error_m == pytest.approx(0.002 / np.sqrt(5))
 
 
 class Refused:
@@ -361,7 +367,7 @@ def test_less_is_searched_for_afresh_until_no_part_leaves_the_plate(heavy):
     solver, controller = Refused(), Controller(heavy)
     controller._solvers["sinusoids"] = solver
     force = np.array([[4e-3, 0.0]])  # 4 mN 0.1 s/10 g is a drift of 40 mm/s
-    answer = controller.answer(
+    result = controller.solve(
         CycleRequest.make(Parts.make(IDS[:1], [[0, 0]]), force, period=0.1), None
     )
     searches = [call for call in solver.calls if call != "forget"]
@@ -369,7 +375,7 @@ def test_less_is_searched_for_afresh_until_no_part_leaves_the_plate(heavy):
     size = 0.02 * 8e-3 / np.sqrt(2)
     expected = [(8e-3 * share, 1e-5, size * share) for share in (1, 0.5, 0.25)]
     assert searches == [pytest.approx(each) for each in expected]
-    assert answer.fraction == 0.25
+    assert result.fraction == 0.25
 
 
 @pytest.mark.parametrize(("radii", "leaves"), [(0.6, False), (0.4, True)])
@@ -387,8 +393,8 @@ def test_velocities_are_kept_from_cycle_to_cycle_by_id(heavy):
     controller._solvers["sinusoids"] = solver
     parts, force = Parts.make(IDS[:1], [[0.0, 0.0]]), np.array([[1e-3, 0.0]])
     state = np.array([[0.0, 0.0, 0.05, 0.0]])
-    controller.answer(CycleRequest.make(parts, force, start=state), None)
+    controller.solve(CycleRequest.make(parts, force, start=state), None)
     rest, slide = PlateCycle.rest(0.1), 0.05**2 / (2 * heavy.friction.accel)
     for ids, way in ((IDS[:1], slide), (IDS[:1], 0.0), (IDS[1:], 0.0)):
-        controller.answer(CycleRequest.make(Parts.make(ids, [[0.0, 0.0]]), force), rest)
+        controller.solve(CycleRequest.make(Parts.make(ids, [[0.0, 0.0]]), force), rest)
         assert solver.position[0] == pytest.approx([way, 0.0], abs=1e-5)

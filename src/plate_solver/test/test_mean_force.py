@@ -186,18 +186,18 @@ def test_curl_of_a_rotation_is_equation_11():
     def field(place):
         return average_force(cycle, np.array([place]))[0]
 
-    share = 2 / np.pi * np.arcsin((np.sqrt(3) - 1) / 2)
+    fraction = 2 / np.pi * np.arcsin((np.sqrt(3) - 1) / 2)
     for place in PLACES[1:]:
         arm = place - centre
         distance = np.hypot(*arm)
-        expected = share * np.array([-arm[1], arm[0]]) / distance
+        expected = fraction * np.array([-arm[1], arm[0]]) / distance
         np.testing.assert_allclose(field(place), expected, atol=4 / 1024)
         by_x = (field(place + [step, 0]) - field(place - [step, 0])) / (2 * step)
         by_y = (field(place + [0, step]) - field(place - [0, step])) / (2 * step)
-        assert by_x[1] - by_y[0] == pytest.approx(share / distance, rel=0.02)
+        assert by_x[1] - by_y[0] == pytest.approx(fraction / distance, rel=0.02)
         samples = cycle.twist((np.arange(1024) + 0.5) / 1024 * cycle.period)
         curl = mean_curl(place[None], np.zeros((1, 2)), samples)
-        assert curl[0] == pytest.approx(share / distance, rel=0.02)
+        assert curl[0] == pytest.approx(fraction / distance, rel=0.02)
 
 
 @pytest.mark.parametrize("seed", range(4))

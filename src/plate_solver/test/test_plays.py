@@ -173,7 +173,7 @@ def test_two_plays_take_half_the_starts(rig, scene, monkeypatch, free_end, desce
 
 @pytest.mark.parametrize("out", [True, False])
 def test_a_motion_is_refused_if_a_part_is_off_the_plate_between_two_plays(rig, monkeypatch, out):
-    """However good the end of the second play is: the next answer replaces that play."""
+    """However good the end of the second play is: the next result replaces that play."""
     edge = rig.plate.half[0] - 0.5 * np.sqrt(rig.part_type("black").area_m2 / np.pi)
     position, velocity = np.array([[edge - 1e-3, 0.0]]), np.array([[0.03, 0.0]])
     still, rng = np.zeros((3, 3)), np.random.default_rng(0)
@@ -196,8 +196,8 @@ def test_a_motion_is_refused_if_a_part_is_off_the_plate_between_two_plays(rig, m
         Parts.make(("black_0",), position), start=np.hstack([position, velocity]), plate=still,
         targets=Targets(aim, aim, np.ones((1, 2))),
     )  # fmt: skip
-    answer = Controller(rig).answer(request, PlateCycle.rest(0.1))
-    assert is_rest(answer.cycle.state(-1)) == out
-    assert ("would leave the plate" in answer.message) == out
+    result = Controller(rig).solve(request, PlateCycle.rest(0.1))
+    assert is_rest(result.cycle.state(-1)) == out
+    assert ("would leave the plate" in result.message) == out
     if not out:
-        assert answer.solution.predicted[0] == pytest.approx(first, abs=1e-4)
+        assert result.solution.predicted[0] == pytest.approx(first, abs=1e-4)

@@ -8,11 +8,11 @@ from plate_solver import SinusoidSolver, average_force
 def test_found_cycles_are_those_of_the_family(rig, scene):
     # Knots and spline come from the search's products: they must be a cycle's own.
     rng, position = scene(3, 2)
-    answer = SinusoidSolver(rig, harmonics=2).solve(position, rng.uniform(-0.1, 0.1, (2, 2)))
-    cycle = answer.cycle
+    result = SinusoidSolver(rig, harmonics=2).solve(position, rng.uniform(-0.1, 0.1, (2, 2)))
+    cycle = result.cycle
     again = type(cycle).from_knots(cycle.times, cycle.knot_pose, cycle.knot_twist, cycle.knot_accel)
     np.testing.assert_allclose(again.coefficients, cycle.coefficients, rtol=1e-6, atol=1e-6)
-    assert answer.success
+    assert result.success
 
 
 def test_warm_start_takes_one_to_three_steps(rig, scene):
@@ -39,8 +39,8 @@ def test_far_requests_are_reached_by_more_starts(rig, scene):
             rng, position = scene(seed, 4)
             force = rng.uniform(-0.08, 0.08, (4, 2))
             solver.reset()
-            answer = solver.solve(position, force)
-            miss = np.max(np.abs(average_force(answer.cycle, position) - force))
-            assert answer.success == (miss < 1.05e-4)
-            met[restarts] += answer.success
+            result = solver.solve(position, force)
+            miss = np.max(np.abs(average_force(result.cycle, position) - force))
+            assert result.success == (miss < 1.05e-4)
+            met[restarts] += result.success
     assert met[100] >= met[0] + 4

@@ -107,9 +107,9 @@ def test_agrees_with_the_map_of_the_finished_cycle(number):
 def test_a_line_through_zero_and_no_motion():
     slip = np.zeros((5, 2))
     slip[0], slip[3] = [0.3, 0.4], [0.15, 0.2]  # sin t + 0.5 cos 2t: see Observation 3
-    share = 2 / np.pi * np.arcsin((np.sqrt(3) - 1) / 2)
+    fraction = 2 / np.pi * np.arcsin((np.sqrt(3) - 1) / 2)
     got = force_of(slip, force_rules(2), ADAPTIVE, work(2), NONE)
-    np.testing.assert_allclose(got, share * np.array([0.6, 0.8]), atol=1e-8)
+    np.testing.assert_allclose(got, fraction * np.array([0.6, 0.8]), atol=1e-8)
     assert force_of(0 * slip, force_rules(2), ADAPTIVE, work(2), NONE) == (0.0, 0.0)
 
 

@@ -108,8 +108,8 @@ def test_more_tries_never_make_a_wrong_success(rig, scene):
         solver.reset()
         rng, position = scene(seed, 3)
         force = rng.uniform(-0.12, 0.12, (3, 2))
-        answer = solver.solve(position, force)
-        miss = np.max(np.abs(average_force(answer.cycle, position) - force))
-        assert answer.success == (miss < 1.05e-4)
-        solved += answer.success
+        result = solver.solve(position, force)
+        miss = np.max(np.abs(average_force(result.cycle, position) - force))
+        assert result.success == (miss < 1.05e-4)
+        solved += result.success
     assert solved >= 15

@@ -64,7 +64,7 @@ def test_the_announced_period_is_that_of_the_answer(
         PartRotations(none, np.full((count, 3), 1e-5), none, none, weight) if turning else None
     )
     goal = replace(
-        random_goal(rig, scene, 0, count, period), rotations=rotations, multi_cycle=multi_cycle
+        random_goal(rig, scene, 0, count, period), part_rotations=rotations, multi_cycle=multi_cycle
     )
     assert solver.steer(goal, 1.0, 1.0).cycle.period == period
 
@@ -75,7 +75,7 @@ def test_a_motion_that_ends_with_the_requested_mean_velocity_meets_the_goal_ahea
     rotations = PartRotations(
         np.zeros(count), np.full((count, 3), 1e-5), rotation, rotation, np.ones(count)
     )
-    goal = replace(random_goal(rig, scene, 0, count, period, 0.0005), rotations=rotations)
+    goal = replace(random_goal(rig, scene, 0, count, period, 0.0005), part_rotations=rotations)
     ahead = goal.ahead(coast, period)
     end = np.concatenate([(goal.position + goal.displacement).T.ravel(), rotation])
     moved = np.concatenate([goal.displacement.T.ravel(), rotation])
@@ -203,7 +203,7 @@ def test_meaningless_weights_are_refused(wrong):
     weight = np.array([0.01, wrong])
     rotations = PartRotations(angles, np.zeros((2, 3)), angles, angles, weight)
     with pytest.raises(PlateError, match=f"^weight of rotations has {wrong:g}, "):
-        Goal(none, none, none, none, 2.45, rotations=rotations)
+        Goal(none, none, none, none, 2.45, part_rotations=rotations)
 
 
 @pytest.mark.parametrize("count", [1, LANES, LANES + 1])

@@ -156,11 +156,11 @@ def test_a_part_turns_in_place(method, place):
         force = RIG.parts.mass_kg * np.clip(drift - now, -0.02, 0.02) / running.period
         torque = INERTIA * (0.6 - spin) / running.period
         parts = Parts.make(world.ids, world.position, now, world.angle, spin)
-        answer = controller.answer(CycleRequest.make(parts, force, torque=torque), running)
-        assert usage(RIG, answer.cycle).worst <= 1 + 1e-9
+        result = controller.solve(CycleRequest.make(parts, force, torque=torque), running)
+        assert usage(RIG, result.cycle).worst <= 1 + 1e-9
         before, world = world, run_cycle(world, running, RIG)
         spin = (world.angle - before.angle) / running.period
-        running = answer.cycle
+        running = result.cycle
         furthest = max(furthest, float(np.hypot(*(world.position - place)[0])))
     assert world.angle[0] > 0.8 * 38 * 0.06
     assert furthest < 1e-3
@@ -171,9 +171,9 @@ def test_without_torque_parts_are_points():
     parts = Parts.make(("a_1",), np.zeros((1, 2)))
     plain = CycleRequest.make(parts, [[1e-3, 0]])
     turning = CycleRequest.make(replace(parts, spin=np.array([2.0])), [[1e-3, 0]])
-    cycle = controller.answer(turning, None).cycle
+    cycle = controller.solve(turning, None).cycle
     np.testing.assert_array_equal(
-        cycle.knot_pose, Controller(RIG).answer(plain, None).cycle.knot_pose
+        cycle.knot_pose, Controller(RIG).solve(plain, None).cycle.knot_pose
     )
 
 
@@ -187,9 +187,9 @@ def loop_to_angles(method, ids, position, angle, request, cycles):
         parts = Parts.make(ids, world.position, angle=world.angle)
         to = AngleTargets(request - 0.01, request + 0.01, np.full(len(ids), 0.01))
         targets = Targets(world.position + free, world.position + free, free, 0.004, to)
-        answer = controller.answer(CycleRequest.make(parts, targets=targets), running)
-        assert usage(rig, answer.cycle).worst <= 1 + 1e-9
-        world, running = run_cycle(world, running, rig), answer.cycle
+        result = controller.solve(CycleRequest.make(parts, targets=targets), running)
+        assert usage(rig, result.cycle).worst <= 1 + 1e-9
+        world, running = run_cycle(world, running, rig), result.cycle
     return run_cycle(world, running, rig).angle
 
 

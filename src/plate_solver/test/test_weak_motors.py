@@ -47,7 +47,7 @@ def goal(rig: Rig, seed: int) -> Goal:
         displacement=rng.uniform(-size, size, position.shape),
         tolerance=np.zeros((3, 2)),
         friction_accel=np.full(3, rig.friction.accel),
-        rotations=None,
+        part_rotations=None,
     )
 
 

@@ -31,17 +31,17 @@ SHADINGS = {"flat": flat, "slope": slope, "vignette": vignette}
 
 
 @lru_cache
-def plate_share(corners):
+def plate_fraction(corners):
     """Share of every pixel that shows the plate."""
-    share = np.zeros((HEIGHT_PX, WIDTH_PX))
+    fraction = np.zeros((HEIGHT_PX, WIDTH_PX))
     y, x = np.mgrid[:HEIGHT_PX, :WIDTH_PX].astype(float)
     for dx in (-0.375, -0.125, 0.125, 0.375):
         for dy in (-0.375, -0.125, 0.125, 0.375):
-            inside = np.ones_like(share, dtype=bool)
+            inside = np.ones_like(fraction, dtype=bool)
             for (ax, ay), (bx, by) in zip(corners, corners[1:] + corners[:1], strict=True):
                 inside &= (bx - ax) * (y + dy - ay) - (by - ay) * (x + dx - ax) <= 0
-            share += inside
-    return share / 16
+            fraction += inside
+    return fraction / 16
 
 
 def draw_frame(
@@ -62,8 +62,8 @@ def draw_frame(
     """
     import cv2
 
-    share = plate_share(tuple(map(tuple, np.asarray(corners).tolist())))
-    image = ROOM + (PLATE - ROOM) * share
+    fraction = plate_fraction(tuple(map(tuple, np.asarray(corners).tolist())))
+    image = ROOM + (PLATE - ROOM) * fraction
     offset = (np.arange(SUB) + 0.5) / SUB - 0.5
     reach = int(radius) + 3
     for (cx, cy), name in zip(np.asarray(centre).reshape(-1, 2), label, strict=True):

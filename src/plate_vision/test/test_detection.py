@@ -284,8 +284,8 @@ def test_other_sizes(draw, corners_px, rng, radius_px):
 
 
 def test_radius_tolerance(draw, corners_px, rng):
-    for share in (0.9, 1.1):
-        frame = draw([[300.0, 200.0]], ["grey"], rng, radius=share * RADIUS_PX)
+    for fraction in (0.9, 1.1):
+        frame = draw([[300.0, 200.0]], ["grey"], rng, radius=fraction * RADIUS_PX)
         for tolerance, count in ((0.05, 0), (0.15, 1)):
             options = DetectorOptions(radius_px=RADIUS_PX, radius_tolerance=tolerance)
             assert len(detect(frame, options, corners_px)) == count

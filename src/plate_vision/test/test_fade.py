@@ -93,8 +93,8 @@ def test_light_and_dark_sides_are_those_of_otsu(seed):
     rng = np.random.default_rng(seed)
     away, _, like, slope, labels, *_ = scene(rng)
     count = 6
-    for k, share in enumerate((0.0, 0.5, 0.5, 0.9, 0.3, 0.6)):  # of a shadow beside a part
-        shade = rng.random(labels.shape) < share
+    for k, fraction in enumerate((0.0, 0.5, 0.5, 0.9, 0.3, 0.6)):  # of a shadow beside a part
+        shade = rng.random(labels.shape) < fraction
         level = np.where(shade, rng.normal(20, 4, labels.shape), rng.normal(44, 4, labels.shape))
         away[labels == k] = np.clip(level, 1, 255).astype(np.uint8)[labels == k]
     away[labels == 2] = 40

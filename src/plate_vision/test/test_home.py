@@ -53,8 +53,8 @@ def test_poses_over_the_stroke(plate, rng):
     grid = np.array([(x, y, t) for x in (-1, 0, 1) for y in (-1, 1) for t in (-1, 1)])
     random = rng.uniform(-1, 1, (8, 3))
     last, errors = HOME, []
-    for k, share in enumerate(np.concatenate([grid, random])):
-        pose = share * [STROKE_M, STROKE_M, TURN_RAD]
+    for k, fraction in enumerate(np.concatenate([grid, random])):
+        pose = fraction * [STROKE_M, STROKE_M, TURN_RAD]
         image = plate.take(pose, rng, blur=(0.5, 1.0, 1.5)[k % 3], noise=(1.0, 3.0)[k % 2])
         near = pose + rng.uniform(-1, 1, 3) * [1e-3, 1e-3, 1e-3]
         for guess in (None, near, last):  # from scratch, followed, followed from too far

@@ -43,10 +43,10 @@ def frame_of(name, position, label, rng, noise=2.0):
     """Return a frame (480, 640) uint8 of parts at `position` (M, 2) [m]."""
     rig = rig_of(name)
     image = np.full((480 * SUB, 640 * SUB), 60, np.uint8)
-    share = np.linspace(0, 1, 100)[:, None]
+    fraction = np.linspace(0, 1, 100)[:, None]
     corners = rig.plate.corners
     edges = [
-        a + share * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)
+        a + fraction * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)
     ]
     fill(image, to_pixel(name, np.concatenate(edges)), 220)
     turn = np.linspace(0, 2 * np.pi, 200)

@@ -59,10 +59,10 @@ def test_a_plate_that_is_too_dark_beside_a_bright_room_is_named(draw, region, rn
 
 def test_an_overexposed_plate_is_named(draw, region, rng):
     frame = draw([], [], rng)
-    for share, overexposed in ((0.1, False), (0.3, True)):
+    for fraction, overexposed in ((0.1, False), (0.3, True)):
         burnt = frame.copy()
         x0, _, x1, _ = region.box
-        burnt[:, x0 : round(x0 + share * (x1 - x0))] = 255
+        burnt[:, x0 : round(x0 + fraction * (x1 - x0))] = 255
         problem = str(light_problem(burnt, 60, region))
         assert ("% of the plate is overexposed" in problem) is overexposed
     frame[~region.usable] = 255

@@ -315,7 +315,7 @@ def pieces(*patches):
     return found
 
 
-def shares(found, shapes):
+def fractions(found, shapes):
     """Intersection over union of each shape with the nearest piece."""
     insides = [cover_of(shape) > 0.5 for shape in shapes]
     return [
@@ -330,7 +330,7 @@ def test_touching_parts_with_narrow_necks_are_pieces_of_one_patch():
     found = pieces([single], chain)
     traits = sorted((piece.rank, piece.alone, piece.group) for piece in found)
     assert traits == [(0, True, False), *[(1, False, False)] * 4]
-    assert min(shares(found, [single, *chain])) > 0.95
+    assert min(fractions(found, [single, *chain])) > 0.95
 
 
 def test_what_a_wider_neck_joins_is_two_parts_if_both_are_large_or_like_others():
@@ -339,11 +339,11 @@ def test_what_a_wider_neck_joins_is_two_parts_if_both_are_large_or_like_others()
     assert len(found) == 1
     assert not found[0].group
     pair = [large, disc(100.9, 60, 12)]
-    assert min(shares(pieces(pair), pair)) > 0.9
+    assert min(fractions(pieces(pair), pair)) > 0.9
     apart = [[disc(40, 150, 12)], [disc(180, 150, 6)]]
     parted = [piece for piece in pieces([large, knob], *apart) if piece.rank == 0]
     assert len(parted) == 2
-    assert min(shares(parted, [large, knob])) > 0.85
+    assert min(fractions(parted, [large, knob])) > 0.85
 
 
 @pytest.mark.parametrize(("count", "larger", "smaller"), [(240, 80, 40), (60, 20, 12)])

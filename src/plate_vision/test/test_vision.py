@@ -86,13 +86,13 @@ def test_parts_have_the_stated_deviation(vision, draw, rng, noise, gap_px):
         for _ in range(4)
     ]
     true = vision.calibration.to_home(centre)
-    shares = []
+    fractions = []
     for tracker in seen:
         gap = tracker.parts.position[:, None] - true
         nearest = np.argmin(np.hypot(*np.moveaxis(gap, 2, 0)), axis=1)
         error = gap[np.arange(len(nearest)), nearest]
-        shares.append(error / tracker.quality[:, :1])
-    assert 1 / 3 < np.sqrt(np.mean(np.square(shares))) < 3
+        fractions.append(error / tracker.quality[:, :1])
+    assert 1 / 3 < np.sqrt(np.mean(np.square(fractions))) < 3
     assert np.all(seen[0].quality[:, 1] == ANY_ANGLE)
     assert np.all((seen[0].quality[:, 2] > 0.5) & (seen[0].quality[:, 2] <= 1))
 

@@ -6,23 +6,23 @@ within the rig's limits, including the motors' temperature.
 """
 
 from .guard import Guard, Statistics
-from .limits import Fit, fit
+from .limits import ScaledCycle, scale_to_limits
 from .motor_table import MAX_KNOTS, MotorTable, plays, prepare, unspliced
 from .setpoint_stream import MAX_S, SetpointStream, densest, knots, refined
 
 __all__ = [
     "MAX_KNOTS",
     "MAX_S",
-    "Fit",
     "Guard",
     "MotorTable",
+    "ScaledCycle",
     "SetpointStream",
     "Statistics",
     "densest",
-    "fit",
     "knots",
     "plays",
     "prepare",
     "refined",
+    "scale_to_limits",
     "unspliced",
 ]

@@ -15,7 +15,7 @@ import numpy as np
 from plate_core import PlateCycle, Rig
 from plate_core.motion import HOLD_CYCLES
 
-from .limits import Fit
+from .limits import ScaledCycle
 from .motor_table import RESTART_NS, Correction, MotorTable, check_order, plays, prepare
 from .thermal import ThermalState
 
@@ -64,16 +64,16 @@ class Statistics:
     since: int = 0
     problems: tuple[str, ...] = ()
 
-    def accepted(self, fit: Fit, late: float = 0.0) -> Statistics:
+    def accepted(self, scaled: ScaledCycle, late: float = 0.0) -> Statistics:
         """Count a cycle with the delay `late` [s], as defined for the attribute `late`."""
         new = replace(
             self,
             cycles=self.cycles + 1,
-            worst=max(self.worst, fit.requested.overall),
-            factor=min(self.factor, fit.factor),
+            worst=max(self.worst, scaled.requested.overall),
+            factor=min(self.factor, scaled.factor),
             late=max(self.late, late),
         )
-        if fit.factor < 1:
+        if scaled.factor < 1:
             return replace(new, scaled=self.scaled + 1).noted("a cycle was scaled down")
         return new
 
@@ -152,7 +152,7 @@ class Guard:
         cycle = self.table.cycle
         return plays(self.hold_cycles if cycle.tail is None else 1, self.hold_s, cycle.period)
 
-    def accepted(self, cycle: PlateCycle, stamp_ns: int, now: float) -> tuple[Guard, Fit]:
+    def accepted(self, cycle: PlateCycle, stamp_ns: int, now: float) -> tuple[Guard, ScaledCycle]:
         """Return the guard with a cycle's table, to be sent at `now` [s].
 
         Raises
@@ -161,12 +161,12 @@ class Guard:
             If the cycle is refused. This guard is unchanged.
         """
         check_order(self.last_ns, stamp_ns)
-        guard, fit = self.commanded(cycle, stamp_ns, now)
+        guard, scaled = self.commanded(cycle, stamp_ns, now)
         late = 0.0 if self.table is None else now - self.sent_at - self.table.cycle.period
-        statistics = self.statistics.accepted(fit, max(0.0, late))
-        return replace(guard, last_ns=stamp_ns, statistics=statistics), fit
+        statistics = self.statistics.accepted(scaled, max(0.0, late))
+        return replace(guard, last_ns=stamp_ns, statistics=statistics), scaled
 
-    def commanded(self, cycle: PlateCycle, stamp_ns: int, now: float) -> tuple[Guard, Fit]:
+    def commanded(self, cycle: PlateCycle, stamp_ns: int, now: float) -> tuple[Guard, ScaledCycle]:
         """Return the guard with a cycle's table, without a check of the order of stamps.
 
         If the last table has ended or the clock was set back, the plate rests. In this case the new
@@ -187,16 +187,16 @@ class Guard:
             (self.hold_cycles + 2) * (self.repeats + 2) * sum(p.period for p in cycle.parts)
         )
         allowed = thermal.allowed_load(self.rig, duration_s)
-        table, fit = prepare(
+        table, scaled = prepare(
             self.rig, cycle, stamp_ns, self.repeats, allowed, self.correction, self.sent
         )
-        thermal = thermal.under(fit.usage.thermal_load)
+        thermal = thermal.under(scaled.usage.thermal_load)
         sent = (*self.sent, table.cycle)[-SENT_KEPT:]
         guard = replace(self, table=table, sent=sent, sent_at=now, thermal=thermal)
         # The current table is played to its end before the new table.
         first = 0.0 if self.table is None else self.table.length
         lasts_s = first + (guard.plays * table.cycle.period if table.tail is None else table.length)
-        return replace(guard, lasts_s=lasts_s), fit
+        return replace(guard, lasts_s=lasts_s), scaled
 
     def lasting(self, until: float) -> Guard:
         """Return the guard with the latest time `until` at which its table may be sent [s, steady
@@ -207,8 +207,8 @@ class Guard:
     def experimenting(self, cycle: PlateCycle, now: float) -> tuple[Guard, PlateCycle]:
         """Return the guard with the table of a calibration cycle, and the scaled cycle."""
         patient = replace(self, hold_cycles=EXPERIMENT_CYCLES, correction=None)
-        guard, fitted = patient.commanded(cycle, 0, now)
-        return guard, fitted.cycle
+        guard, scaled = patient.commanded(cycle, 0, now)
+        return guard, scaled.cycle
 
     def after_experiment(self, before: Guard) -> Guard:
         """Return the guard with the settings of `before`, which is the guard before an

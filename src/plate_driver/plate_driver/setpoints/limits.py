@@ -1,6 +1,6 @@
-"""Check of motions against the rig's limits of stroke, speed, acceleration, force and heat. `fit`
-scales a whole cycle down until it is within the limits. `check_setpoints` checks the final motor
-setpoints and refuses setpoints beyond the limits."""
+"""Check of motions against the rig's limits of stroke, speed, acceleration, force and heat.
+`scale_to_limits` scales a whole cycle down until it is within the limits. `check_setpoints` checks
+the final motor setpoints and refuses setpoints beyond the limits."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ motors."""
 
 
 @dataclass(frozen=True)
-class Fit:
+class ScaledCycle:
     """A cycle within the rig's limits, and its scaling.
 
     Attributes
@@ -69,7 +69,9 @@ class Fit:
         )
 
 
-def fit(rig: Rig, cycle: PlateCycle, thermal_load: np.ndarray | float = 1.0) -> Fit:
+def scale_to_limits(
+    rig: Rig, cycle: PlateCycle, thermal_load: np.ndarray | float = 1.0
+) -> ScaledCycle:
     """Scale a whole cycle down until it exceeds no limit of the rig.
 
     The cycle is scaled and not clipped. Friction forces depend on the direction of the surface's
@@ -94,13 +96,13 @@ def fit(rig: Rig, cycle: PlateCycle, thermal_load: np.ndarray | float = 1.0) -> 
                 f"allowed: {limits_text(rig)}"
             )
         if requested.overall <= 1 + ROUNDING:
-            return Fit(cycle, 1.0, requested, requested)
+            return ScaledCycle(cycle, 1.0, requested, requested)
         return _find_scale(rig, cycle, requested, thermal_load)
 
 
 def _find_scale(
     rig: Rig, cycle: PlateCycle, requested: CycleUsage, thermal_load: np.ndarray | float
-) -> Fit:
+) -> ScaledCycle:
     """Find the largest factor with which the cycle is within the limits.
 
     The peaks are not exactly proportional to the factor, because rotation adds a quadratic term.
@@ -109,13 +111,13 @@ def _find_scale(
     third trial.
     """
     large, large_worst = 1.0, requested.overall
-    small: Fit | None = None
+    small: ScaledCycle | None = None
     factor = TARGET / requested.overall
     for trial in range(ROUNDS):
         scaled = cycle.scaled(factor)
         used = usage(rig, scaled, thermal_load)
         if used.overall <= TARGET * (1 + ROUNDING):
-            small = Fit(scaled, factor, requested, used)
+            small = ScaledCycle(scaled, factor, requested, used)
             if used.overall >= CLOSE_ENOUGH or small.factor >= CLOSE_ENOUGH * large:
                 return small
         else:
@@ -129,7 +131,9 @@ def _find_scale(
     return small
 
 
-def _next_factor(large: float, large_worst: float, small: Fit | None, secant: bool) -> float:
+def _next_factor(
+    large: float, large_worst: float, small: ScaledCycle | None, secant: bool
+) -> float:
     if small is None or small.usage.overall <= 0:
         return large * TARGET / large_worst * 0.999
     low, high = np.log(small.factor), np.log(large)

@@ -14,7 +14,7 @@ import numpy as np
 from plate_core import CycleError, PlateCycle, Rig
 from plate_core.motion import motor_state, usage
 
-from .limits import Fit, check_setpoints, excess_text, fit
+from .limits import ScaledCycle, check_setpoints, excess_text, scale_to_limits
 
 PERIOD_S = (0.01, 10.0)
 """Allowed length of a table and of its tail [s]. One image is taken per table, so the image rate is
@@ -124,7 +124,7 @@ def prepare(
     thermal_load: np.ndarray | float = 1.0,
     correction: Correction | None = None,
     before: Sequence[PlateCycle] = (),
-) -> tuple[MotorTable, Fit]:
+) -> tuple[MotorTable, ScaledCycle]:
     """Convert a plate cycle to a motor table within the rig's limits.
 
     If a cycle from rest exceeds the limits, the whole cycle is scaled down with its tail. A cycle
@@ -173,23 +173,23 @@ def prepare(
             raise CycleError(
                 f"plate_cycle: {name} is {value}, allowed: {PERIOD_S[0]:g} to {PERIOD_S[1]:g} s"
             )
-    fitted = fit(rig, playable, thermal_load)
-    if fitted.factor < 1 and not playable.starts_at_rest:
+    scaled = scale_to_limits(rig, playable, thermal_load)
+    if scaled.factor < 1 and not playable.starts_at_rest:
         raise CycleError(
-            f"plate_cycle: {excess_text(rig, fitted.requested, thermal_load)}; the cycle begins in "
+            f"plate_cycle: {excess_text(rig, scaled.requested, thermal_load)}; the cycle begins in "
             "motion, so it cannot be scaled down. The plate comes to rest; cycles from rest can "
             "be scaled down"
         )
-    command = fitted.cycle
+    command = scaled.cycle
     if correction is not None:
-        command, fitted = _correct_command(rig, fitted, correction, thermal_load)
+        command, scaled = _correct_command(rig, scaled, correction, thermal_load)
     made = MotorTable.of(rig, command, stamp_ns)
     start = None
     if running is not None:
         q, qd, _ = motor_state(rig, *running.state(-1)[:, None])
         start = q[0], qd[0]
     check_setpoints(rig, made.times, made.q, made.qd, made.qdd, start)
-    return made, fitted
+    return made, scaled
 
 
 def _find_continued_cycle(
@@ -243,18 +243,22 @@ def unspliced(cycle: PlateCycle) -> PlateCycle:
 
 
 def _correct_command(
-    rig: Rig, fitted: Fit, correction: Correction, thermal_load: np.ndarray | float
-) -> tuple[PlateCycle, Fit]:
+    rig: Rig, scaled: ScaledCycle, correction: Correction, thermal_load: np.ndarray | float
+) -> tuple[PlateCycle, ScaledCycle]:
     """Return the corrected command, and the requested motion of the plate. Both motions are scaled
     down until the command is also within the limits."""
     # Forces are not checked, because they depend on the actual motion and not on the command.
     moving = replace(rig.limits, force=np.inf, continuous_force=np.inf)
-    shorter = fit(replace(rig, limits=moving, suspension=None), correction(fitted.cycle))
+    shorter = scale_to_limits(
+        replace(rig, limits=moving, suspension=None), correction(scaled.cycle)
+    )
     if shorter.factor == 1:
-        return shorter.cycle, fitted
-    scaled = fitted.cycle.scaled(shorter.factor)
-    used = usage(rig, scaled, thermal_load)
-    return shorter.cycle, Fit(scaled, fitted.factor * shorter.factor, fitted.requested, used)
+        return shorter.cycle, scaled
+    smaller = scaled.cycle.scaled(shorter.factor)
+    used = usage(rig, smaller, thermal_load)
+    return shorter.cycle, ScaledCycle(
+        smaller, scaled.factor * shorter.factor, scaled.requested, used
+    )
 
 
 def check_order(last_ns: int | None, stamp_ns: int) -> None:

@@ -101,7 +101,7 @@ class CycleLog:
     delays : tuple of int
         Delays of the solver's last results [cycles]. A result has the delay 0 if it begins at the
         end of the cycle at whose start the image for its request was taken.
-    answered_start : float
+    solved_start : float
         Value of `Sent.requested` for the last sent cycle [s]. Minus infinity if no cycle was sent.
     awaited : Sent or None
         Last sent cycle that moves the plate. None after this cycle has begun.
@@ -116,7 +116,7 @@ class CycleLog:
     free_running: bool = False
     delays: tuple[int, ...] = ()
     last_report: float = -math.inf
-    answered_start: float = -math.inf
+    solved_start: float = -math.inf
     awaited: Sent | None = None
     begun: int = 0
     unanswered_cycles: int = 0
@@ -182,7 +182,7 @@ class CycleLog:
         return min(max(self.delays, default=0), LATEST)
 
     @property
-    def until_answer(self) -> CycleLog:
+    def until_result(self) -> CycleLog:
         """Predicted log at the time when the solver's result for the running cycle begins. Results
         that were sent earlier begin before this result."""
         log, before = self, [sent.cycle for sent in self.sent][::-1]
@@ -212,7 +212,7 @@ class CycleLog:
         before = self.sent[-LATEST:] if math.isfinite(self.last_report) else ()
         sent = Sent(arrival, cycle, requested)
         awaited = sent if cycle.moves else self.awaited
-        return replace(self, sent=(*before, sent), answered_start=requested, awaited=awaited)
+        return replace(self, sent=(*before, sent), solved_start=requested, awaited=awaited)
 
     def started(self, cycle: PlateCycle, begin: float, triggered: bool = False) -> CycleLog:
         """Record the report that the plate began a cycle at the time `begin` [s]. A repeated report
@@ -307,7 +307,7 @@ class CycleLog:
             log = CycleLog()  # the time is before the log, because the clock was restarted
         elif self.runs and t > self.end + MEMORY_S:
             # No image has arrived for a long time.
-            log = CycleLog(sent=self.sent, answered_start=self.answered_start, awaited=self.awaited)
+            log = CycleLog(sent=self.sent, solved_start=self.solved_start, awaited=self.awaited)
         if not log.runs:
             return log._begin_cycle(t)
         while log.end <= t - SNAP * (log.end - log.begin):

@@ -514,7 +514,7 @@ class Estimator:
         reports = log.last_report > self.taken - MEMORY_S  # whether there is a recent report
         # `unanswered` is also false if the clock was set back, because the request then seems to be
         # in the future.
-        unanswered = log.answered_start < requested < self.taken + MEMORY_S
+        unanswered = log.solved_start < requested < self.taken + MEMORY_S
         may_come = unanswered or log.may_move(log.last_report if reports else self.taken)
         return np.inf if may_come or (reports and log.last_report < shown) else log.resting_since
 
@@ -527,13 +527,13 @@ class Estimator:
     @property
     def next_start(self) -> float:
         """Time at which the solver's result for the last image begins [s]."""
-        return self.log.until_answer.end if self.log.known else self.stamp + self.clock.period
+        return self.log.until_result.end if self.log.known else self.stamp + self.clock.period
 
     @property
     def next_rest(self) -> float:
         """Time at which the plate comes to rest [s], if no motion is requested for the last
         image."""
-        tail = self.log.until_answer.runs[-1][1].tail if self.log.known else None
+        tail = self.log.until_result.runs[-1][1].tail if self.log.known else None
         return self.next_start + (tail.period if tail is not None else 0.0)
 
     @property
@@ -609,14 +609,14 @@ class Estimator:
             return None
         row = rows_of(parts.ids, self.ids)
         time = self.hypotheses.estimate.time[self.hypotheses.best][row]
-        log = self.log.until_answer
+        log = self.log.until_result
         return propagate(log, self.mean[row], time, log.end, self.friction_accel)[:, :4]
 
     @property
     def next_plate(self) -> np.ndarray | None:
         """Pose, twist and acceleration (3, 3) of the plate at the time `next_start`. None if they
         are uncertain."""
-        return self.log.until_answer.plate if self.log.certain else None
+        return self.log.until_result.plate if self.log.certain else None
 
     def by_request(self, parts: Parts) -> np.ndarray:
         """Return the positions (M, 2) [m] that the parts have at the time `next_start` if they
@@ -654,7 +654,7 @@ class Estimator:
         """Whether the plate moves between the times `stamp` and `next_start`. In this case, the
         start of the solver's next result must be predicted by the model of the parts' motion."""
         log = self.log
-        return log.known and log.until_answer.moves_between(self.stamp, self.next_start)
+        return log.known and log.until_result.moves_between(self.stamp, self.next_start)
 
     @property
     def _newest_information(self) -> float:

@@ -143,7 +143,7 @@ class StateEstimate:
         coast: Coast,
         jitter: float,
         friction: np.ndarray,
-    ) -> tuple[StateEstimate, Fit]:
+    ) -> tuple[StateEstimate, Innovations]:
         """Return the filters updated with the detected parts of an image.
 
         Parameters
@@ -167,7 +167,7 @@ class StateEstimate:
         Returns
         -------
         estimate : StateEstimate
-        fit : Fit
+        innovations : Innovations
             Prediction quality of each hypothesis for this image.
         """
         now = self._remove_unseen(coast)
@@ -179,7 +179,7 @@ class StateEstimate:
         rows = np.array([row[parts.ids[i]] for i in old], int)
         position = parts.position
         mean, covariance = now._propagate(rows, log, time[:, old], friction_accel)
-        mean, covariance, fit = kalman_update(
+        mean, covariance, innovations = kalman_update(
             mean, covariance, position[old], jitter, now.usual[rows]
         )
         after = [now.mean.copy(), now.covariance.copy(), now.time.copy()]
@@ -203,7 +203,7 @@ class StateEstimate:
             np.concatenate([now.start_mean, first], axis=1),
             np.append(now.usual, np.log(friction[new])),
         )
-        return estimate, fit
+        return estimate, innovations
 
     def moved(self, log: CycleLog, later: np.ndarray, friction_accel: float) -> StateEstimate:
         """Return the estimate with the times of all states increased by `later` (A,) [s].
@@ -262,7 +262,7 @@ class StateEstimate:
 
 
 @dataclass(frozen=True)
-class Fit:
+class Innovations:
     """Comparison of the predictions of A hypotheses with one image.
 
     Attributes
@@ -290,9 +290,9 @@ def kalman_update(
     seen: np.ndarray,
     jitter: float,
     of_type: np.ndarray | float = 0.0,
-) -> tuple[np.ndarray, np.ndarray, Fit]:
+) -> tuple[np.ndarray, np.ndarray, Innovations]:
     """Update the states of K parts with their measured positions `seen` (K, 2) [m]. Return the
-    means (A, K, 5), the covariances (A, K, 5, 5), and the fit of the predictions.
+    means (A, K, 5), the covariances (A, K, 5, 5), and the innovations of the predictions.
 
     `of_type` (K,) is log(f) of the parts' types, see `StateEstimate.usual`.
 
@@ -350,8 +350,8 @@ def kalman_update(
     )
     alone = np.divide(lateness, information, out=np.zeros_like(late), where=information > 0)
     axes = 2 * max(len(seen), 1)
-    fit = Fit(likelihood, np.sum(square, axis=1) / axes, alone, information)
-    return after, (rest + rest.swapaxes(-1, -2)) / 2, fit
+    innovations = Innovations(likelihood, np.sum(square, axis=1) / axes, alone, information)
+    return after, (rest + rest.swapaxes(-1, -2)) / 2, innovations
 
 
 def propagate(

@@ -17,7 +17,7 @@ import numpy as np
 from plate_core import Parts
 
 from .cycle_log import CycleLog
-from .filter import Coast, Fit, StateEstimate
+from .filter import Coast, Innovations, StateEstimate
 
 STEPS = np.arange(-2, 3)
 """Latency of each hypothesis minus the latency of the middle hypothesis, divided by the spacing of
@@ -94,7 +94,7 @@ class Jitter:
 
     def update(self, lateness: float, information: float) -> Jitter:
         """Return the estimate updated with one image. `lateness` [s] and `information` [1/s2] are
-        defined in `Fit`."""
+        defined in `Innovations`."""
         if information <= 0:
             return self
         noise, keep = 1 / information, 1 - 1 / JITTER_IMAGES
@@ -182,7 +182,7 @@ class LatencyHypotheses:
         last = np.max(self.estimate.time[self.best], initial=-np.inf)
         fading = np.exp(-max(t - self.latency - last, 0.0) / FADING_S)
         jitter = max(self.jitter.deviation, unsure)
-        estimate, fit = self.estimate.update(
+        estimate, innovations = self.estimate.update(
             log, parts, time, friction_accel, coast, jitter, friction
         )
         moved = any(np.any(cycle.knot_pose) for _, cycle in log.runs[-2:])
@@ -191,10 +191,11 @@ class LatencyHypotheses:
         seen = replace(
             self,
             estimate=estimate,
-            log_likelihood=fading * self.log_likelihood + fit.log_likelihood,
+            log_likelihood=fading * self.log_likelihood + innovations.log_likelihood,
             images=self.images + 1,
-            misfit=self.misfit + (float(fit.square[self.best]) - self.misfit) / MISFIT_IMAGES,
-            jitter=self._updated_jitter(fit),
+            misfit=self.misfit
+            + (float(innovations.square[self.best]) - self.misfit) / MISFIT_IMAGES,
+            jitter=self._updated_jitter(innovations),
         )
         if len(self.latencies) == 1 and not self.trusting:
             return seen
@@ -232,12 +233,14 @@ class LatencyHypotheses:
         estimate = self.estimate.of([0]).moved(log, self.latencies[:1], friction_accel)
         return replace(self.of(0.0), estimate=estimate, jitter=self.jitter, trusting=True)
 
-    def _updated_jitter(self, fit: Fit) -> Jitter:
+    def _updated_jitter(self, innovations: Innovations) -> Jitter:
         """Return the value of `jitter` after an image. Until the latency is known, the value does
         not change."""
         if not self.estimated:
             return self.jitter
-        return self.jitter.update(float(fit.lateness[self.best]), float(fit.information[self.best]))
+        return self.jitter.update(
+            float(innovations.lateness[self.best]), float(innovations.information[self.best])
+        )
 
     def _hypotheses_around(
         self, best: int, step: float, log: CycleLog, friction_accel: float

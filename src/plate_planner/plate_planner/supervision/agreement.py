@@ -6,12 +6,13 @@ direction. Other errors of the model, such as wrong friction, change the sign of
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from plate_core import Parts
+
+from ..estimation import rows_of
 
 SOON_S = 0.03
 """Maximum time between a prediction and the image that it is compared with [s]. The time is below
@@ -55,17 +56,22 @@ class Agreement:
     stamp: float = -np.inf
 
     def expecting(
-        self, seen: Parts, ids: Sequence[str], predicted: np.ndarray, stamp: float
+        self, seen: Parts, ids: tuple[str, ...], predicted: np.ndarray, stamp: float
     ) -> Agreement:
         """Record the positions (M, 2) [m] of the parts `ids` that are predicted for the time
         `stamp` [s]. `seen` are the parts in the last image. An earlier prediction stays until it
         has been compared."""
         if self.ids:
             return self
-        rows = [k for k, name in enumerate(ids) if name in seen.ids]
-        names = tuple(ids[k] for k in rows)
-        position = seen.position[[seen.ids.index(name) for name in names]]
-        return replace(self, ids=names, position=position, predicted=predicted[rows], stamp=stamp)
+        row = rows_of(ids, seen.ids)
+        detected = np.flatnonzero(row >= 0)
+        return replace(
+            self,
+            ids=tuple(ids[k] for k in detected),
+            position=seen.position[row[detected]],
+            predicted=predicted[detected],
+            stamp=stamp,
+        )
 
     def seeing(self, seen: Parts, t: float) -> Agreement:
         """Compare the parts in an image with the stamp t [s] with their prediction, if the
@@ -74,9 +80,10 @@ class Agreement:
             return self
         moves = self.moves
         if t < self.stamp + SOON_S:
-            rows = [k for k, name in enumerate(self.ids) if name in seen.ids]
-            now = seen.position[[seen.ids.index(self.ids[k]) for k in rows]]
-            pair = np.stack([self.predicted[rows], now], axis=1) - self.position[rows, None]
+            row = rows_of(self.ids, seen.ids)
+            known = row >= 0
+            pair = np.stack([self.predicted[known], seen.position[row[known]]], axis=1)
+            pair -= self.position[known, None]
             length = np.hypot(*pair.transpose(2, 0, 1))
             used = (length[:, 0] > SHORT_M) & np.all(length < LONG_M, axis=1)
             moves = np.concatenate([moves, pair[used]])[-LAST:]

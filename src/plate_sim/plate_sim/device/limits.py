@@ -68,7 +68,7 @@ class DeviceLimits:
         )  # fmt: skip
 
     @cached_property
-    def fit(self) -> np.ndarray:
+    def rigid_weights(self) -> np.ndarray:
         """Coefficients (4,) of a weighted sum of the travels of the four motors. If the plate is
         rigid, the sum is 0. The type of the coefficients is float32, and their maximum magnitude is
         1.
@@ -76,8 +76,8 @@ class DeviceLimits:
         The coefficients are a null vector of `load`. A null vector exists because the four travels
         depend on only three coordinates of the plate.
         """
-        fit = np.linalg.eigh(self.load)[1][:, 0]
-        return (fit / np.max(np.abs(fit))).astype(np.float32)
+        weight = np.linalg.eigh(self.load)[1][:, 0]
+        return (weight / np.max(np.abs(weight))).astype(np.float32)
 
 
 def rig_header(path: str) -> str:
@@ -122,15 +122,15 @@ def c_header(limits: DeviceLimits, name: str, drives: Sequence[Drive] = ()) -> s
 def _drives_code(drives: Sequence[Drive], limits: DeviceLimits) -> list[str]:
     """Return the C code that defines the drives and their kind."""
     head = ["#define HAS_DRIVES", f"#define HAS_{drives[0].kind.upper()}"]
-    made = map(_drive_code, drives, limits.fit)
+    made = map(_drive_code, drives, limits.rigid_weights)
     return [*head, "static const Drive DRIVES[MOTORS] = {", *made, "};"]
 
 
-def _drive_code(drive: Drive, fit: float) -> str:
+def _drive_code(drive: Drive, weight: float) -> str:
     """Return the C code of one drive."""
     scale = _literal_code(np.asarray(drive.counts_per_m, np.float32))
     absolute = str(drive.absolute).lower()
-    values = (drive.node, scale, drive.sign, absolute, f"{drive.serial}u", f"{fit!s}f")
+    values = (drive.node, scale, drive.sign, absolute, f"{drive.serial}u", f"{weight!s}f")
     return f"    {{{', '.join(map(str, values))}}},"
 
 

@@ -14,14 +14,14 @@ namespace plate::sliding {
 // Allowed error of one step, as a fraction of the tolerance for a cycle. The errors of the steps
 // add up, but each error decays during the following steps. Therefore the error of a cycle is about
 // the tolerance.
-constexpr double STEP_SHARE = 0.05;
+constexpr double STEP_FRACTION = 0.05;
 // A slow part is stopped if its remaining sliding distance is at most this fraction of the allowed
 // error of a step.
-constexpr double SNAP_SHARE = 0.1;
+constexpr double SNAP_FRACTION = 0.1;
 // Determines which slip counts as zero (see `zero_slip`). While a slip that counts as zero
-// vanishes, friction changes the part's velocity by at most ZERO_SHARE e / T. Here, e is the
+// vanishes, friction changes the part's velocity by at most ZERO_FRACTION e / T. Here, e is the
 // allowed error of a step, and T is the period.
-constexpr double ZERO_SHARE = 0.2;
+constexpr double ZERO_FRACTION = 0.2;
 // A part with zero slip sticks only if friction can still hold it a short time later. AHEAD is this
 // time as a fraction of the period.
 constexpr double AHEAD = 1e-8;
@@ -102,17 +102,17 @@ inline Point to_plate_home(const Point& part, double t, Vec gravity) {
 
 // Return the largest slip [m/s] that counts as zero. The argument a is the acceleration of the
 // surface. A slip r vanishes after about r/max(a, limit). For the returned slip, friction changes
-// the velocity in this time by at most ZERO_SHARE allowed / period. The result is also at most the
+// the velocity in this time by at most ZERO_FRACTION allowed / period. The result is also at most the
 // velocity change by friction in a period.
 inline double zero_slip(double limit, double a, double allowed, double period) {
-    return std::min(ZERO_SHARE * allowed / period * std::max(1.0, a / limit), limit * period);
+    return std::min(ZERO_FRACTION * allowed / period * std::max(1.0, a / limit), limit * period);
 }
 
 // Whether a slip r [m/s] counts as zero if the surface has the acceleration a [m/s2]. One of two
-// conditions must be true: the stopping distance r^2/(2 (limit - a)) is at most `SNAP_SHARE` of the
+// conditions must be true: the stopping distance r^2/(2 (limit - a)) is at most `SNAP_FRACTION` of the
 // allowed error, or the slip is at most `zero_slip`.
 inline bool counts_as_zero(double r, double limit, double a, double allowed, double period) {
-    return r * r <= 2 * SNAP_SHARE * allowed * (limit - a) ||
+    return r * r <= 2 * SNAP_FRACTION * allowed * (limit - a) ||
            r <= zero_slip(limit, a, allowed, period);
 }
 
@@ -326,7 +326,7 @@ inline std::int64_t run_part(Table table, const Scales& scales, double limit, do
         // The allowed error of a step cannot be smaller than the rounding errors of the state.
         const double size = std::abs(part.position.x) + std::abs(part.position.y) +
                             period * (std::abs(part.velocity.x) + std::abs(part.velocity.y));
-        const double allowed = std::max(STEP_SHARE * tolerance, 1e-15 * size);
+        const double allowed = std::max(STEP_FRACTION * tolerance, 1e-15 * size);
         const bool coarse = steps > BUDGET * cycles;
         double h = 0;
         Point end = part;

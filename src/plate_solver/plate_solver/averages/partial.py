@@ -99,7 +99,7 @@ def largest_fraction(
         returned.
     """
     fits = min(1.0, limit / max(request.flags.max_force, 1e-300))
-    solution = attempt(request if fits == 1 else request.times(fits))
+    solution = attempt(request if fits == 1 else request.scaled(fits))
     if solution.success and fits == 1:
         return solution
     low, best, iterations = _bisect(request, library, attempt, solution, fits, resolution, limit)
@@ -168,7 +168,7 @@ def _bisect(
             break
         fraction = trial if low < trial < high else (low + high) / 2
         trial = 0.0
-        result = attempt(request.times(fraction))
+        result = attempt(request.scaled(fraction))
         iterations += result.iterations
         if result.success:
             low, best = fraction, result

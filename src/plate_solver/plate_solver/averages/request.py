@@ -115,7 +115,7 @@ class Request:
         and its friction field has no curl."""
         return self.flags.parts_move or self.flags.has_curl
 
-    def times(self, fraction: float) -> Request:
+    def scaled(self, fraction: float) -> Request:
         """Return the request with forces and curls multiplied by a fraction."""
         return replace(self, force=fraction * self.force, curl=fraction * self.curl)
 

@@ -14,10 +14,10 @@ static nb::tuple fit(nb::callable evaluate, nb::callable admissible, Numbers sta
         std::vector<double> trial_parameters = parameters;
         const size_t count = trial_parameters.size();
         const nb::object trial = admissible(to_numpy(std::move(trial_parameters)));
-        const nb::object answer = evaluate(trial);
+        const nb::object result = evaluate(trial);
         parameters = copied(nb::cast<Numbers>(trial));
-        error = copied(nb::cast<Numbers>(answer[0]));
-        slopes = answer[1];
+        error = copied(nb::cast<Numbers>(result[0]));
+        slopes = result[1];
         if (parameters.size() != count) throw nb::value_error("the number of parameters changes");
     };
     const auto slopes_there = [&](Matrix& jacobian) {

@@ -133,7 +133,7 @@ def _goal_of_targets(
         displacement=(targets.low + targets.high) / 2 - start.position,
         tolerance=(targets.high - targets.low) / 2,
         friction_accel=start.friction_accel,
-        rotations=rotations,
+        part_rotations=rotations,
         multi_cycle=True,
         weight=targets.weight,
         edge=rig.plate.half - margin,
@@ -186,7 +186,7 @@ def _goal_of_forces(
         displacement=(low + high) / 2,
         tolerance=(high - low) / 2,
         friction_accel=start.friction_accel,
-        rotations=rotations,
+        part_rotations=rotations,
         plate=start.plate,
     )
 

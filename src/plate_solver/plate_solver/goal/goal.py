@@ -83,7 +83,7 @@ class Goal:
         Tolerances of the displacements [m]. Errors within +-tolerance count as 0.
     friction_accel : (M,)
         mu g of each part [m/s2]. A scalar applies to all parts.
-    rotations : PartRotations, optional
+    part_rotations : PartRotations, optional
         Requested rotations. If None, the parts are modelled as points.
     multi_cycle : bool
         Whether later cycles can complete the goal. For such a goal, every motion counts as a
@@ -116,7 +116,7 @@ class Goal:
     displacement: np.ndarray
     tolerance: np.ndarray
     friction_accel: np.ndarray
-    rotations: PartRotations | None = None
+    part_rotations: PartRotations | None = None
     multi_cycle: bool = False
     weight: np.ndarray | float = 1.0
     edge: np.ndarray | float = np.inf
@@ -129,8 +129,8 @@ class Goal:
         same = np.broadcast_to(self.friction_accel, len(self.position))
         object.__setattr__(self, "friction_accel", np.array(same, dtype=float))
         _check_weights("weight", self.weight)
-        if self.rotations is not None:
-            _check_weights("weight of rotations", self.rotations.weight)
+        if self.part_rotations is not None:
+            _check_weights("weight of rotations", self.part_rotations.weight)
 
     @cached_property
     def ends(self) -> Ends:
@@ -150,8 +150,8 @@ class Goal:
         near = np.hypot(gap[..., 0], gap[..., 1]) < clear + COMING_M
         pair = np.ascontiguousarray(np.argwhere(np.triu(near & (clear > 0), 1)))
         requested = np.array([flat(low), flat(high), flat(self.weight), flat(-below), flat(above)])
-        if self.rotations is not None:
-            rotations, free = self.rotations, np.full(len(self.position), np.inf)
+        if self.part_rotations is not None:
+            rotations, free = self.part_rotations, np.full(len(self.position), np.inf)
             angles = np.array([rotations.low, rotations.high, rotations.weight, -free, free])
             requested = np.ascontiguousarray(np.hstack([requested, angles]))
         low, high, weight, edge_low, edge_high = requested
@@ -162,24 +162,26 @@ class Goal:
     def rows(self) -> int:
         """Number of coordinates. There are two per part, or three per part if rotations are
         requested."""
-        return self.position.size + (0 if self.rotations is None else len(self.position))
+        return self.position.size + (0 if self.part_rotations is None else len(self.position))
 
     @property
     def requested_count(self) -> int:
         """Number of requested coordinates. All positions are requested, and those angles whose
         weight is above 0."""
-        return self.position.size + (0 if self.rotations is None else self.rotations.count)
+        return self.position.size + (
+            0 if self.part_rotations is None else self.part_rotations.count
+        )
 
     @property
     def size(self) -> float:
         """Root mean square of the requested displacements and weighted rotations [m]."""
         requested = self.displacement.ravel()
-        if self.rotations is not None:
-            arc = self.rotations.weight * self.rotations.middle
-            requested = np.concatenate([requested, arc[self.rotations.weight > 0]])
+        if self.part_rotations is not None:
+            arc = self.part_rotations.weight * self.part_rotations.middle
+            requested = np.concatenate([requested, arc[self.part_rotations.weight > 0]])
         return float(np.sqrt(np.mean(requested**2)))
 
-    def times(self, fraction: float) -> Goal:
+    def scaled(self, fraction: float) -> Goal:
         """Return the goal reduced to the fraction `fraction`.
 
         If `multi_cycle` is False, displacements and rotations are multiplied by the fraction f.
@@ -191,14 +193,14 @@ class Goal:
         the minimum is at b = f^4 w^2 d. With f = 1/2, the part thus moves only 1/16 as far beyond
         the wall.
         """
-        rotations = self.rotations
+        rotations = self.part_rotations
         if self.multi_cycle:
             if rotations is not None:
                 rotations = replace(rotations, weight=fraction**2 * rotations.weight)
-            return replace(self, weight=fraction**2 * self.weight, rotations=rotations)
+            return replace(self, weight=fraction**2 * self.weight, part_rotations=rotations)
         if rotations is not None:
             rotations = rotations.shifted((fraction - 1) * rotations.middle)
-        return replace(self, displacement=fraction * self.displacement, rotations=rotations)
+        return replace(self, displacement=fraction * self.displacement, part_rotations=rotations)
 
     def downhill(self, length: float) -> np.ndarray:
         """Return displacements of the parts (M, 2) [m] in the direction in which the sum of squared
@@ -207,8 +209,8 @@ class Goal:
         The longest displacement has the length `length` [m].
         """
         end = (self.position + self.coast * self.velocity).T.ravel()
-        if self.rotations is not None:
-            end = np.append(end, self.coast * self.rotations.spin)
+        if self.part_rotations is not None:
+            end = np.append(end, self.coast * self.part_rotations.spin)
         error, slope = self.error(end)
         direction = (error @ slope)[: self.position.size].reshape(2, -1).T
         return np.asarray(direction * (length / max(float(np.max(np.hypot(*direction.T))), 1e-12)))
@@ -223,9 +225,9 @@ class Goal:
     def angle_errors(self, end: np.ndarray) -> np.ndarray:
         """Return the signed errors (Q,) [rad] of the Q requested rotations. `end` contains the
         coordinates at the end of the cycle."""
-        if self.rotations is None:
+        if self.part_rotations is None:
             return np.zeros(0)
-        rotations, rotation = self.rotations, end[self.position.size :]
+        rotations, rotation = self.part_rotations, end[self.position.size :]
         return (np.clip(rotation, rotations.low, rotations.high) - rotation)[rotations.weight > 0]
 
     def shifted(self, shift: np.ndarray) -> Goal:
@@ -233,8 +235,10 @@ class Goal:
         [m, rad]. The order of the coordinates is the same as in `end`."""
         places = self.position.size
         displacement = self.displacement + shift[:places].reshape(2, -1).T
-        rotations = None if self.rotations is None else self.rotations.shifted(shift[places:])
-        return replace(self, displacement=displacement, rotations=rotations)
+        rotations = (
+            None if self.part_rotations is None else self.part_rotations.shifted(shift[places:])
+        )
+        return replace(self, displacement=displacement, part_rotations=rotations)
 
     def ahead(self, coast: float, period: float) -> Goal:
         """Return a goal for end positions and angles that are extrapolated by the time `coast` [s].
@@ -249,14 +253,14 @@ class Goal:
         requested mean velocity, so that the next cycle can request the same displacement. Rotations
         are changed in the same way.
         """
-        scale, rotations = 1 + coast / period, self.rotations
+        scale, rotations = 1 + coast / period, self.part_rotations
         if rotations is not None:
             rotations = replace(rotations, low=scale * rotations.low, high=scale * rotations.high)
         return replace(
             self,
             displacement=scale * self.displacement,
             tolerance=scale * self.tolerance,
-            rotations=rotations,
+            part_rotations=rotations,
             coast=coast,
         )
 
@@ -267,11 +271,15 @@ class Goal:
         rotations of all parts follow [rad].
         """
         moved = pose, twist, dt, self.friction_accel
-        if self.rotations is None:
+        if self.part_rotations is None:
             position, velocity = end_state(self.position, self.velocity, *moved)
             return (position + self.coast * velocity).T.ravel()
         position, velocity, rotation, spin = end_turning(
-            self.position, self.velocity, self.rotations.spin, self.rotations.spread, *moved
+            self.position,
+            self.velocity,
+            self.part_rotations.spin,
+            self.part_rotations.spread,
+            *moved,
         )
         position += self.coast * velocity
         return np.concatenate([position.T.ravel(), rotation + self.coast * spin])
@@ -282,10 +290,14 @@ class Goal:
         """Return the derivatives of `end` with respect to pose (2, n, C), twist (3, n, C) and dt
         (n, C)."""
         moved = pose, twist, dt, self.friction_accel, self.coast
-        if self.rotations is None:
+        if self.part_rotations is None:
             return end_state_gradient(self.position, self.velocity, *moved)
         return end_turning_gradient(
-            self.position, self.velocity, self.rotations.spin, self.rotations.spread, *moved
+            self.position,
+            self.velocity,
+            self.part_rotations.spin,
+            self.part_rotations.spread,
+            *moved,
         )
 
     def error(self, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -319,7 +331,7 @@ def goal_solution(
     error, _ = goal.error(end)
     if goal.multi_cycle:
         message = f"{1e3 * float(np.sqrt(np.mean(left**2))):.3g} mm to go"
-        if goal.rotations is not None and goal.rotations.count:
+        if goal.part_rotations is not None and goal.part_rotations.count:
             rotation = float(np.sqrt(np.mean(goal.angle_errors(end) ** 2)))
             message += f", {np.degrees(rotation):.2g} deg to rotate"
     else:

@@ -202,11 +202,11 @@ class RotationCycles(MotionSolver):
         slack = 0.0 if goal.multi_cycle else 0.5 * goal.tolerance
         force = np.sign(push) * np.maximum(np.abs(push) - slack, 0.0) / unit
         curl = None
-        if goal.rotations is not None:
+        if goal.part_rotations is not None:
             # In a friction field with this curl, a disc has the angular acceleration mu g curl/2.
             # If the disc starts at rest, it rotates by mu g curl T^2/4 during the period T.
-            curl = goal.rotations.middle * 4 / (goal.friction_accel * period**2)
-            curl = np.where(goal.rotations.weight > 0, curl, np.nan)
+            curl = goal.part_rotations.middle * 4 / (goal.friction_accel * period**2)
+            curl = np.where(goal.part_rotations.weight > 0, curl, np.nan)
         plan = self._plan(goal.position, force, curl, spread)
         plan = plan.in_order(np.argsort(-plan.priority, kind="stable"))
         family = RotationFamily(plan.twist, self._limits, period, self.options.speed)

@@ -84,10 +84,10 @@ class Problem(NamedTuple):
         """Convert a goal to a problem."""
         basis = motions.basis
         state = goal.position, goal.velocity, goal.friction_accel, basis.dt
-        if goal.rotations is None:
+        if goal.part_rotations is None:
             start = blocks_of(*state)
         else:
-            start = turning_blocks_of(*state, goal.rotations.spin, goal.rotations.spread)
+            start = turning_blocks_of(*state, goal.part_rotations.spin, goal.part_rotations.spread)
         plate = np.zeros((3, 3)) if goal.plate is None else goal.plate
         moved = (matrix @ plate for matrix in (*basis.settling[:2], *basis.settling_checks))
         settling = _kernels.settling_of(*moved)

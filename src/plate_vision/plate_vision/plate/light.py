@@ -21,7 +21,7 @@ DARK_PERCENTILE = 95
 plate's minimum brightness, there is too little light. The brightest twentieth of the image is
 ignored, because it may show lamps and reflections."""
 
-BURNT_SHARE, BURNT_PLATE_SHARE = 0.5, 0.2
+BURNT_FRACTION, BURNT_PLATE_FRACTION = 0.5, 0.2
 """Fraction of an image, or of the plate in it, that shows too much light. If at least this fraction
 of the pixels is overexposed, there is too much light. White parts usually cover less of the
 plate."""
@@ -134,10 +134,10 @@ def light_problem(image: np.ndarray, min_grey: float, region: Region | None = No
             f"{DARK_PERCENTILE} % of the image has at most {bright:.0f} grey levels, allowed: "
             f"a plate of at least {min_grey:g}; check that the light is on and the lens is open"
         )
-    what, limit = "image", BURNT_SHARE
+    what, limit = "image", BURNT_FRACTION
     if region is not None:
         grey = grey[region.usable[::EVERY, ::EVERY]]
-        what, limit = "plate", BURNT_PLATE_SHARE
+        what, limit = "plate", BURNT_PLATE_FRACTION
     burnt = np.count_nonzero(grey >= BURNT_GREY) / max(grey.size, 1)
     if burnt >= limit:
         return (

@@ -13,10 +13,10 @@ from plate_core import PlateCycle
 
 from .estimation import SNAP
 
-__all__ = ["AnswerSchedule"]
+__all__ = ["RequestSchedule"]
 
 
-class AnswerSchedule:
+class RequestSchedule:
     """Computes the time of the planner's next request to the solver from the reported cycle starts.
 
     Parameters
