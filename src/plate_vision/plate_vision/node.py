@@ -313,10 +313,13 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             return
         self._last_image = received
         self._tally.detection_ms.append(1e3 * (time.perf_counter() - start_s))
-        if self._tracker is not before:
+        is_new = self._tracker is not before
+        if is_new:
             self._log_id_changes()
-        vision = self._vision
-        problem = light_problem(image, vision.options.min_plate_grey, vision.lit_region)
+        vision, parts_found = self._vision, is_new and bool(self._tracker.found)
+        problem = light_problem(
+            image, vision.options.min_plate_grey, vision.lit_region, plate_found=parts_found
+        )
         if problem:
             problem += bits_hint(largest(), self.options.bits)
             self._warn(f"{source}: {problem}")

@@ -54,6 +54,7 @@ def test_a_plate_that_is_too_dark_beside_a_bright_room_is_named(draw, region, rn
     frame[region.usable] //= 8
     frame[~region.usable] = 200
     assert light_problem(frame, 60) is None
+    assert light_problem(frame, 60, region, plate_found=True) is None
     assert "no plate of at least 60 grey levels is visible" in light_problem(frame, 60, region)
 
 

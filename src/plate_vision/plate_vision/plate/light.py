@@ -120,11 +120,14 @@ def check_complete(image: np.ndarray, region: Region) -> None:
         )
 
 
-def light_problem(image: np.ndarray, min_grey: float, region: Region | None = None) -> str | None:
+def light_problem(
+    image: np.ndarray, min_grey: float, region: Region | None = None, plate_found: bool = False
+) -> str | None:
     """Return a message about a defect of the light in an image (H, W) or (H, W, 3) uint8, or None.
 
     `min_grey` is the minimum brightness of the plate [grey levels]. If there is a `region`, the
-    plate in this region must be bright enough for `fit_light`.
+    plate in this region must be bright enough for `fit_light`. If `plate_found` is true,
+    `fit_light` has already found the plate in this image, and is not called again.
     """
     sample = image[::EVERY, ::EVERY]
     grey = sample if sample.ndim == 2 else sample[:, :, 1]
@@ -144,7 +147,9 @@ def light_problem(image: np.ndarray, min_grey: float, region: Region | None = No
             f"{burnt:.0%} of the {what} is overexposed (at least {BURNT_GREY} grey levels), "
             f"allowed: less than {limit:.0%}; reduce exposure time, light or reflections"
         )
-    if region is not None and fit_light(grey_levels(image), region, min_grey) is None:
+    if region is None or plate_found:
+        return None
+    if fit_light(grey_levels(image), region, min_grey) is None:
         return (
             f"no plate of at least {min_grey:g} grey levels is visible at corners_px, allowed: an "
             "evenly lit plate; check light, camera cable and corners_px, and remove what covers "
