@@ -164,7 +164,7 @@ def level(page, step):
     return page.locator(f"#camera-checks [data-check={step}]").get_attribute("data-grade")
 
 
-def test_no_camera_one_that_looks_elsewhere_and_a_little_shift_are_reported(graph, page, shows):
+def test_a_missing_rotated_or_shifted_camera_is_reported(graph, page, shows):
     shows("picture", "no image", "0_nothing")
     assert page.inner_text("#camera-state") == "Next: picture."
     graph[0].show(picture(View(distance=1.25, roll=12.0, at=(0.1, 0.05))))
@@ -222,7 +222,7 @@ def test_pictures_for_the_lens_are_taken_fitted_and_written_after_asking(
     shows("home", "found before the lens")
 
 
-def test_it_is_ready(graph, page, shows):
+def test_the_page_reports_that_the_camera_is_ready(graph, page, shows):
     """By the lens that was written, and home found anew with it."""
     view = View(focal=FOCAL, distance=0.9, lens=(BEND[0], BEND[1], 0.0))
     graph[0].show(picture(view, small=False))

@@ -187,7 +187,7 @@ def test_the_running_loop_does_not_import_the_averages():
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
-def test_the_solver_reads_requests_at_its_door_alone():
+def test_only_one_module_of_the_solver_reads_requests():
     """Behind `goal/conversion.py` there are goals: no other file distinguishes forces and
     targets."""
     kinds = {f"plate_core.{name}" for name in ("AngleTargets", "Forces", "Targets")}
@@ -229,7 +229,7 @@ def test_rosdep_knows_all_that_package_xml_names():
     assert named - packages == known
 
 
-def test_others_import_only_public_names():
+def test_packages_import_only_public_names_of_others():
     """The public names are those in `__all__` of a package or of one of its chapters."""
     offenders = [
         f"{label(path)}: {name}"
@@ -244,7 +244,7 @@ def test_others_import_only_public_names():
     assert not offenders, "not in `__all__`:\n" + "\n".join(offenders)
 
 
-def test_no_modules_import_each_other_in_a_circle():
+def test_modules_have_no_circular_imports():
     """Imports for annotations count too: a reader follows them like all others."""
     paths = [path for package in PACKAGES for path in sources(package)]
     modules = {}

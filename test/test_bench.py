@@ -99,7 +99,7 @@ def test_seeds_differ(runs):
     assert first["rms_error_m"] != second["rms_error_m"]
 
 
-def test_the_same_seed_gives_the_same_row_whatever_the_workers(runs):
+def test_the_same_seed_gives_the_same_row_for_any_number_of_workers(runs):
     assert without_timings(runs[1]) == without_timings(runs[0])
 
 
@@ -177,7 +177,7 @@ def test_wrong_arguments_are_refused_with_a_message_of_one_line(refusal, program
         assert word in last
 
 
-def test_every_table_has_its_words_and_gives_the_facts_in_them():
+def test_every_table_has_its_texts_and_their_values():
     """Or a measurement of hours would fail at its end."""
     used = set()
     for path in (*BENCH.glob("stages/*.py"), *BENCH.glob("tasks/*.py")):

@@ -374,7 +374,7 @@ def assert_moved_within_limits(record: np.record) -> None:
 
 
 @emulated
-def test_a_plate_that_does_not_follow_is_let_go(watchful, tmp_path):
+def test_the_current_is_switched_off_if_the_plate_does_not_follow(watchful, tmp_path):
     """Nothing moves in an emulator: as a jammed plate, held 2 mm from its setpoint."""
     with TriedBoard(watchful, tmp_path) as board:
         host = ready(board)
@@ -414,7 +414,7 @@ def test_a_stop_takes_the_enable_pin_down(firmware, tmp_path):
 
 
 @emulated
-def test_a_crash_takes_the_enable_pin_down_and_feeds_no_more(firmware, tmp_path):
+def test_after_a_crash_the_enable_pin_is_low_and_the_watchdog_is_not_fed(firmware, tmp_path):
     with TriedBoard(firmware, tmp_path) as board:
         ready(board)
         assert board.enabled()

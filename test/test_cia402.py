@@ -231,7 +231,7 @@ def test_the_drives_receive_the_table_and_follow(bench):
     assert 1e-5 < max(errors) < 1e-3  # of the drives' lag, not of the bus's delay
 
 
-def test_a_host_that_falls_silent_stops_the_drives_at_home(bench):
+def test_after_a_host_timeout_the_drives_stop_at_home(bench):
     playing(bench, PLATE)
     bench.run(1200)
     assert (bench.state, Fault(bench.faults)) == (State.OFF, Fault.HOST_SILENT)
@@ -379,7 +379,7 @@ def test_a_drive_that_boots_with_current_is_cut(bench):
 
 
 @pytest.mark.parametrize("trouble", [troubles.emergency, troubles.bus_off])
-def test_once_it_is_over_a_person_enables_again(bench, trouble):
+def test_after_a_fault_a_person_enables_again(bench, trouble):
     playing(bench, PLATE)
     trouble(bench, bench.drives[1])
     live(bench, 2600)
@@ -416,7 +416,7 @@ def test_a_person_confirms_home_if_it_may_be_lost(bench, trouble):
 
 
 @pytest.mark.parametrize("ms", [500, 1500, 2100])  # before we reset it, after that, after twice
-def test_a_drive_that_had_no_power_counts_from_elsewhere(bench, ms):
+def test_a_drive_that_lost_power_has_another_zero(bench, ms):
     """Also if it begins at the very number that it had: it counts from where it then is."""
     ready(bench)
     drive = bench.drives[1]
@@ -445,7 +445,7 @@ def test_counts_that_end_within_the_stroke_are_refused(bench, place):
     assert all(drive.state == "switch on disabled" for drive in bench.drives)
 
 
-def test_stops_in_each_tick_do_not_silence_our_heartbeat(bench):
+def test_stops_in_each_tick_do_not_suppress_the_heartbeat(bench):
     ready(bench)
     since = bench.network.now
     for k in range(300):
@@ -587,7 +587,7 @@ def test_a_drive_that_loses_counts_is_noticed_by_the_others(bench, stopped):
 
 
 @pytest.mark.parametrize("slow", ["", "switched on"])  # motor_4, which the others wait for
-def test_a_drive_that_counts_from_elsewhere_once_it_has_current_is_named(bench, slow):
+def test_a_drive_with_another_zero_under_current_is_named(bench, slow):
     boot(bench)
     bench.drives[1].leap = 240_000  # a turn
     bench.drives[3].holds = slow
@@ -600,7 +600,7 @@ def test_a_drive_that_counts_from_elsewhere_once_it_has_current_is_named(bench, 
     assert all(each.state == "switch on disabled" for each in bench.drives)
 
 
-def test_a_drive_that_counts_from_elsewhere_at_a_second_enable_has_lost_home(bench):
+def test_a_drive_with_another_zero_at_a_second_enable_has_lost_home(bench):
     ready(bench)
     tell(bench, say(300, Stop(1)))
     live(bench, 50)
@@ -661,7 +661,7 @@ UNDOING = {  # the first ones while nothing else is wrong
 }
 
 
-def test_no_message_undoes_a_stop(bench):
+def test_no_message_clears_a_stop(bench):
     ready(bench)
     bench.old = bench.stop
     tell(bench, say(300, Stop(1)))

@@ -338,7 +338,7 @@ def test_a_trouble_ends_a_motion_and_is_reported(bench, rig_file, capsys, happen
     assert rig_file.read_bytes() == before
 
 
-def test_a_jammed_motor_is_let_go(bench, rig_file, capsys, monkeypatch):
+def test_the_current_of_a_jammed_motor_is_switched_off(bench, rig_file, capsys, monkeypatch):
     monkeypatch.setattr("plate_drives.axis.ASTRAY_M", 2e-4)
     text = rig_file.read_text(encoding="utf-8")
     rig_file.write_text(text.replace("following_error_m: 0.003", "following_error_m: 0"))
@@ -350,7 +350,7 @@ def test_a_jammed_motor_is_let_go(bench, rig_file, capsys, monkeypatch):
     assert "quick stop" not in bench.drives[1].history  # it would not follow that either
 
 
-def test_a_drive_that_counts_from_elsewhere_once_it_has_current_is_let_go(bench, rig_file, capsys):
+def test_a_drive_with_another_zero_under_current_is_switched_off(bench, rig_file, capsys):
     drive = bench.drives[1]
     drive.leap = 24_000  # a turn
     bench.only(2)
@@ -450,7 +450,7 @@ def test_an_unanswered_question_releases_the_motor(bench, rig_file, capsys, monk
     assert all_off(bench)
 
 
-def test_a_host_that_is_late_is_slower_and_makes_no_jump(bench, rig_file):
+def test_a_late_host_slows_the_motion_without_a_jump(bench, rig_file):
     bench.only(1)
     bench.answers["Which motor"] = "none"
     bench.moving(lambda drive: [bench.step() for _ in range(100)])

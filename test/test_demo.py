@@ -329,7 +329,7 @@ def test_a_full_disk_is_reported_in_one_line(tmp_path, monkeypatch, capsys):
     assert capsys.readouterr().err.endswith("demo: [Errno 28] No space left on device\n")
 
 
-def test_a_node_that_dies_at_start_is_named_with_its_reason(tmp_path, monkeypatch):
+def test_a_node_that_crashes_at_start_is_named_with_its_reason(tmp_path, monkeypatch):
     for node in load_graph():
         program = tmp_path / "lib" / node.package / node.executable
         program.parent.mkdir(parents=True, exist_ok=True)

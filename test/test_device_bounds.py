@@ -132,7 +132,7 @@ def test_ten_thousand_hostile_packets(device):
     }
 
 
-def test_tables_that_grow_faster_cannot_ratchet(device):
+def test_tables_with_growing_end_speeds_are_refused(device):
     """Each begins as fast as the one before has ended, and ends 2 mm/s faster."""
     orders: list[bytes | float | str] = [*PLAYING]
     begin = 0.0
@@ -293,7 +293,7 @@ def test_a_setpoint_too_far_from_the_last_is_not_commanded(tmp_path):
     assert done.stdout == 2 * "10100"
 
 
-def test_a_tick_reads_and_obeys_no_more_than_it_may(device):
+def test_a_tick_reads_and_executes_a_limited_number_of_messages(device):
     """128 bytes and four packets; the rest is read in the following ticks."""
     beats = b"".join(say(k, Heartbeat(k)) for k in range(1, 101))  # 18 bytes and less each
     done = run(device, HELLO, beats, 0.1)

@@ -74,11 +74,11 @@ def answer(device, knots: tuple[Knot, ...]) -> Status:
         (swing(86, 0.045, LIFT), Status.LIMIT),
     ],
 )
-def test_acceleration_and_heat_are_looked_at(device, knots, status):
+def test_the_device_checks_acceleration_and_heat(device, knots, status):
     assert answer(device, knots) is status
 
 
-def test_peak_force_is_looked_at(device):
+def test_the_device_checks_the_peak_force(device):
     # Motors 3 and 4: 0.15 * 2 * 40 - or + (0.8 + 0.2) * 40 N, 52 N at most
     orders = ordered(*READY, upload(1, swing(40, 0.02, (1.0, -1.0, 1.0, 1.0)), 110), 0.1)
     for limit, status in (("52.5", Status.DONE), ("51.5", Status.LIMIT)):

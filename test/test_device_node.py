@@ -138,7 +138,7 @@ def test_a_cycle_goes_round_and_after_a_pulled_plug_a_person_enables(tmp_path):
     assert not os.path.lexists(link)
 
 
-def test_on_a_computer_that_is_held_up_the_device_takes_nobody_for_silent(tmp_path, monkeypatch):
+def test_a_stall_of_the_computer_is_no_timeout_of_the_host(tmp_path, monkeypatch):
     """Its process gets no CPU time for three seconds, and its clock stops meanwhile."""
     clock = [10**9]
     monkeypatch.setattr(node, "time", SimpleNamespace(monotonic_ns=lambda: clock[0]))

@@ -90,7 +90,7 @@ WAYS: dict[str, tuple[list[bytes | float | str], list[bytes | float | str]]] = {
 
 
 @pytest.mark.parametrize("way", WAYS)
-def test_a_stop_is_not_undone(device, way):
+def test_a_stop_is_not_cleared(device, way):
     before, after = WAYS[way]
     tried = run(device, *before, *after, say(1, Heartbeat(1)), *alive(1.2))
     assert tried.state is State.OFF
@@ -146,7 +146,7 @@ def test_stops_are_counted_also_without_a_session_and_without_current(device):
     assert set(done.answers().values()) == {Status.DONE}
 
 
-def test_a_hello_is_a_stop_while_current_flows_and_else_is_none(device):
+def test_a_hello_stops_the_motors_only_while_current_flows(device):
     other = say(1, Hello(VERSION, 78))
     assert run(device, *PLAYING, other, 0.05).stop == FIRST
     assert run(device, *PLAYING, HELLO, 0.05).stop == BOOT
@@ -155,7 +155,7 @@ def test_a_hello_is_a_stop_while_current_flows_and_else_is_none(device):
     assert run(device, *STOPPED, other, 0.05).stop == FIRST
 
 
-def test_silence_is_one_stop_and_not_one_in_each_tick(device):
+def test_a_timeout_causes_one_stop_and_not_one_in_each_tick(device):
     done = run(device, *PLAYING, 0.26, 0.3)
     assert (done.stop, done.state) == (FIRST, State.BRAKING)
     done = run(device, *PLAYING, 3.0)

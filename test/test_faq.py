@@ -18,7 +18,7 @@ def spoken():
     yield re.sub(r"\$\w+", "", (ROOT / "tools/setup.sh").read_text(encoding="utf-8"))
 
 
-def test_every_message_is_one_of_ours():
+def test_every_message_of_the_faq_exists_in_the_code():
     reported = "\n".join(spoken())
     blocks = re.findall(r"^```text\n(.*?)^```$", PAGE, re.DOTALL | re.MULTILINE)
     assert len(blocks) > 8

@@ -38,7 +38,9 @@ HELD_UP = "the planner was stalled for"
 (docs/graph.md)."""
 
 
-def test_a_node_that_is_gone_is_named_and_nothing_moves_unasked(tmp_path, domain, monkeypatch):
+def test_a_missing_node_is_named_and_the_plate_does_not_move_without_an_enable(
+    tmp_path, domain, monkeypatch
+):
     for name, seconds in TIMES.items():
         monkeypatch.setattr(f"cases.faults.{name}", seconds)
     options = LightOptions(scenario=str(tmp_path / "middle.yaml"))

@@ -111,7 +111,7 @@ def test_a_plate_with_a_reserved_part_rests_and_a_stop_is_reported_at_once(graph
 
 
 @pytest.mark.parametrize(("error_m", "success"), [(1e-4, True), (2e-3, False)])
-def test_a_part_that_lay_elsewhere_is_no_success_and_the_result_can_be_written(error_m, success):
+def test_a_grip_error_above_the_limit_is_no_success(error_m, success):
     grip = Grip(0.0, True, error_m, 0.0, 2.0)
     result = feed_result([grip], Record(), 1, ["black"])
     assert json.loads(json.dumps(result)) == result

@@ -18,7 +18,7 @@ def test_the_table_of_codes():
     assert [int(row.split("|")[1]) for row in rows] == list(Code)
 
 
-def test_the_recipe_is_one(tmp_path):
+def test_the_recipe_of_the_guide_is_valid(tmp_path):
     path = tmp_path / "recipe.yaml"
     path.write_text(YAML[0])
     assert isinstance(load_scenario(path).task, FeedTask)
@@ -27,7 +27,7 @@ def test_the_recipe_is_one(tmp_path):
         load_scenario(path)
 
 
-def test_the_points_fit(tmp_path):
+def test_the_hand_eye_file_of_the_guide_is_valid(tmp_path):
     path = tmp_path / "hand_eye.yaml"
     path.write_text(YAML[1])
     assert load_hand_eye(path).frame == "robot_base"

@@ -268,7 +268,7 @@ def still(ticks: int) -> Knot:
         ((still(0), still(1)), Status.WRONG_TIMES),
     ],
 )
-def test_tables_are_looked_at(device, knots, status):
+def test_the_device_checks_tables(device, knots, status):
     # One that begins in motion cannot be repeated.
     frames = uploaded(1, knots, 110, 1 if status is Status.JUMP else 50)
     done = run(device, *READY, b"".join(frames), *alive(0.1))
@@ -278,7 +278,7 @@ def test_tables_are_looked_at(device, knots, status):
         assert not done.setpoints.any()
 
 
-def test_a_knot_that_is_there_stays_as_it_came_first(device):
+def test_a_received_knot_is_not_overwritten(device):
     frames = uploaded(1, GENTLE, 110)
     other = say(300, Knots(1, 4, wave(0.0125)[4:8]))
     done = run(device, *READY, b"".join([*frames[:4], other, *frames[4:]]), *alive(0.1))
@@ -321,7 +321,7 @@ def test_damaged_upload_is_not_taken(device):
     assert done.state is State.PLAYING
 
 
-def test_fuzz(device):
+def test_random_frames_do_not_stop_the_firmware(device):
     rng = np.random.default_rng(3)
     frames = [f + b"\0" for f in upload(1, wave(0.009), 110).split(b"\0")[:-1]]
     some = (Enable(BOOT), Enable(7), Home(), Stop(0), Stop(1))

@@ -22,6 +22,6 @@ def test_the_first_agent_sorts(monkeypatch):
     assert list(figures) == ["first_agent"]
 
 
-def test_no_outputs_are_kept():
+def test_the_notebook_contains_no_outputs():
     cells = json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"]
     assert not any(cell.get("outputs") or cell.get("execution_count") for cell in cells)

@@ -9,7 +9,7 @@ TEXT = PAGE.read_text(encoding="utf-8")
 STATIC = ROOT / "src/plate_view/plate_view/static"
 
 
-def test_its_commands_run(tmp_path):
+def test_the_commands_of_the_page_run(tmp_path):
     found = steps(re.sub(r"\bmy\b(?=/|$)", f"{tmp_path}/my", TEXT, flags=re.MULTILINE))
     assert len(found) >= 3
     together = " && ".join(step.command for step in found)

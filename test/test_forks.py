@@ -39,7 +39,7 @@ def _start(server, tmp_path):
     return start
 
 
-def test_a_fork_is_a_program_of_its_own(start, tmp_path, monkeypatch):
+def test_a_fork_has_its_own_arguments_name_and_folder(start, tmp_path, monkeypatch):
     (tmp_path / "here").mkdir()
     monkeypatch.chdir(tmp_path / "here")
     fork, log = start(SHOWS, "3")
@@ -60,7 +60,7 @@ def test_a_fork_is_a_program_of_its_own(start, tmp_path, monkeypatch):
         ("#!python\nimport os, signal\nos.kill(os.getpid(), signal.SIGKILL)\n", -9, ""),
     ],
 )
-def test_its_exit_code_and_last_output_are_reported(start, text, code, last_line):
+def test_the_exit_code_and_last_output_of_a_fork_are_reported(start, text, code, last_line):
     fork, log = start(text)
     assert fork.wait(30) == code
     assert last_line in log.read_text()
@@ -75,7 +75,7 @@ def test_an_exit_code_is_reported_even_if_sigchld_is_ignored(request):
         signal.signal(signal.SIGCHLD, before)
 
 
-def test_a_node_is_a_child_of_the_program_and_goes_on_without_its_server(start, server):
+def test_a_node_is_a_child_of_the_program_and_continues_without_its_server(start, server):
     fork, log = start(WAITS)
     assert f"PPid:\t{os.getpid()}\n" in Path(f"/proc/{fork.pid}/status").read_text()
     while not (log.exists() and log.read_text()):

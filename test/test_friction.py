@@ -45,7 +45,7 @@ def test_the_slip_is_that_of_the_simulators_integrator(static, times):
     ("mu", "spread", "patches", "static"),
     [(0.15, 0.0, 0.0, 1.2), (0.25, 0.1, 0.1, 1.2), (0.6, 0.2, 0.0, 1.0)],
 )
-def test_it_is_found_within_5_percent(mu, spread, patches, static):
+def test_friction_is_measured_within_5_percent(mu, spread, patches, static):
     world = Disturbances(friction_spread=spread, friction_patches=patches, static_ratio=static)
     found, true = measured(RIG, parts_at(PLACES), 3, mu, world)
     assert len(found.parts) == len(PLACES)

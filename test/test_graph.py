@@ -294,7 +294,7 @@ def lose_the_first_answer(monkeypatch):
     monkeypatch.setattr(Client, "call_async", call_async)
 
 
-def test_a_task_does_not_begin_after_a_stop_by_somebody_else(tmp_path):
+def test_a_task_does_not_begin_after_a_stop_by_another_client(tmp_path):
     """Else an enable would clear an emergency stop that a person has made."""
     link = str(tmp_path / "device")
     options = RunOptions(scenario="sort_4", transport="serial", autostart=False, link=link)

@@ -63,7 +63,7 @@ def test_a_program_of_a_package(capsys, monkeypatch, package, program):
 
 
 @pytest.mark.parametrize("script", SCRIPTS)
-def test_a_script(capsys, monkeypatch, script):
+def test_each_script_has_help(capsys, monkeypatch, script):
     path = str(ROOT / script)
     monkeypatch.setattr(sys, "path", [str(Path(path).parent), *sys.path])
     help_text(capsys, monkeypatch, path, lambda: runpy.run_path(path, run_name="__main__") and None)
@@ -91,14 +91,14 @@ def test_no_program_needs_its_docstring():
     assert split == []
 
 
-def test_these_are_all():
+def test_the_main_programs_are_tested():
     assert {name for _, name in INSTALLED} >= {
         "calibrate", "detector", "device", "driver", "planner", "plate", "simulator", "solver",
     }  # fmt: skip
     assert {"tools/demo.py", "bench/run.py", "examples/own_planner.py"} <= set(SCRIPTS)
 
 
-def test_a_node_refuses_words_that_it_does_not_know(capsys, monkeypatch):
+def test_a_node_refuses_unknown_arguments(capsys, monkeypatch):
     from plate_sim.node import main
 
     monkeypatch.setattr(sys, "argv", ["simulator", "sort_4"])

@@ -31,7 +31,7 @@ def test_a_wave_along_x_by_hand():
     np.testing.assert_allclose(thermal_load(RIG, wave(x=0.004)), [load, load, 0, 0], atol=1e-4)
 
 
-def test_a_turn_by_hand():
+def test_limit_fractions_of_a_rotation_agree_with_a_manual_calculation():
     """The corners, 0.335 m from the middle, have w^2 r beside theta'' r; 0.075 kg m2 are turned by
     four motors, of levers 0.1, 0.1, 0.2 and 0.2 m, each by its lever over the sum of squares."""
     angle = 0.02
@@ -45,7 +45,7 @@ def test_a_turn_by_hand():
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_judge_and_guard_agree(seed):
+def test_the_judge_agrees_with_the_guard(seed):
     """Both are written separately; the guard's bounds may be a little higher than samples show."""
     rng = np.random.default_rng(seed)
     rig = RIG

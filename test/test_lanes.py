@@ -104,7 +104,7 @@ def test_files_of_one_kind_are_all_run(file, count):
     ("number", "count", "front"),
     [(0, 1, True), (1, 2, False), (1, 3, False), (1, 4, True), (2, 4, False), (4, 4, True)],
 )
-def test_workers_behind_give_way(monkeypatch, number, count, front):
+def test_workers_of_later_lanes_have_lower_priority(monkeypatch, number, count, front):
     """A worker that replaces a crashed one gets its lane, or an earlier one."""
     given = []
     monkeypatch.setattr("os.nice", given.append)

@@ -22,7 +22,7 @@ print(plate_core.__file__, len(scenario_names()))
 """
 
 
-def test_it_is_installed_with_its_data_and_needs_no_ros(tmp_path):
+def test_the_library_is_installed_with_its_data_and_needs_no_ros(tmp_path):
     source, target = tmp_path / "a clone", tmp_path / "installed"
     for name in ("src", "config", "firmware"):
         skip = shutil.ignore_patterns("test", "__pycache__", "build", "*.egg-info")
@@ -52,7 +52,7 @@ def test_it_is_installed_with_its_data_and_needs_no_ros(tmp_path):
     assert done.stdout == f"{target}/plate_core/__init__.py {shipped}\n"
 
 
-def test_its_request_is_the_request_of_its_parts():
+def test_the_requirements_equal_those_of_the_packages():
     """Each package can also be installed alone; together their requirements are those of the
     whole."""
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))

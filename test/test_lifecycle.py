@@ -96,7 +96,9 @@ def test_every_transition_twice(name, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("name", NODES)
-def test_a_bad_rig_file_is_refused_and_read_again_when_it_is_mended(name, tmp_path, monkeypatch):
+def test_an_invalid_rig_file_is_refused_and_read_again_after_its_repair(
+    name, tmp_path, monkeypatch
+):
     rig = tmp_path / "rig.yaml"
     good = default_rig_path().read_text(encoding="utf-8")
     with Managed(name, tmp_path, monkeypatch, rig_file=rig) as managed:

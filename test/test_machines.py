@@ -53,13 +53,13 @@ def test_the_loop_closes_between_machines_that_name_each_other(tmp_path):
     assert 0 < result["crossed_kB_per_s"] < 0.75 * IMAGE_KB / cycle_s
 
 
-def test_by_default_nothing_leaves_the_machine_and_an_intruder_finds_nothing(tmp_path):
+def test_by_default_no_message_leaves_the_machine(tmp_path):
     result = machines(tmp_path, "--reach", "nobody")
     assert result["found"] == []
     assert result["crossed_kB"] == 0
 
 
-def test_the_two_profiles_differ_in_what_is_listened_at():
+def test_the_two_network_profiles_differ_only_in_the_interfaces():
     own, network = (
         re.sub(r"<!--.*?-->", "", config_path(name).read_text(encoding="utf-8"), flags=re.DOTALL)
         for name in ("fastdds.xml", "fastdds_network.xml")

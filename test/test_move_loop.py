@@ -23,7 +23,7 @@ def dragged(target, seed):
             return
 
 
-def test_a_part_of_ten_comes_to_a_target_that_was_changed_in_mid_way():
+def test_a_part_reaches_a_target_that_changes_during_the_motion():
     first, second = (0.15, 0.05), (-0.12, -0.05)
     for moment in dragged(lambda t: first if t < 2 else second, seed=21):
         if moment.time > 3 and np.max(moment.error_m, initial=1.0) < 2e-3:

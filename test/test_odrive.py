@@ -324,7 +324,7 @@ def test_a_fault_switches_all_currents_off_and_is_reported(
 
 
 @pytest.mark.parametrize("trouble", [low_voltage, bus_off])
-def test_once_it_is_over_a_person_enables_again(bench, trouble):
+def test_after_a_fault_a_person_enables_again(bench, trouble):
     playing(bench, PLATE)
     before = [drive.enables for drive in bench.drives]
     trouble(bench, bench.drives[1])
@@ -361,7 +361,7 @@ def test_a_reset_while_it_is_off_loses_home(bench):
     assert abs(drive.position) < FINE  # and stays
 
 
-def test_its_own_messages_are_reported(bench):
+def test_messages_of_the_drive_are_reported(bench):
     playing(bench, PLATE)
     bench.drives[1].disarm("low voltage")
     live(bench, 100)
@@ -442,7 +442,7 @@ UNDOING = {
 }
 
 
-def test_no_message_undoes_a_stop(bench):
+def test_no_message_clears_a_stop(bench):
     ready(bench)
     bench.old = bench.stop
     tell(bench, say(300, Stop(1)))

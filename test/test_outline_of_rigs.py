@@ -22,7 +22,7 @@ ROUND = [name for name in rig_names() if name not in ("shapes", "washers")]
         ("shapes", "sort_mixed"),
     ],
 )
-def test_no_rig_has_a_finding(rig, scenario):
+def test_the_outline_check_reports_no_problem_for_any_rig(rig, scenario):
     rig, scenario = load_rig(rig), load_scenario(scenario)
     simulation = Simulation(rig, scenario, 3)
     check = OutlineCheck.of(rig, make_vision(rig).calibration)

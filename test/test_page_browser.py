@@ -200,7 +200,7 @@ SCHEMES = {"light": {}, "dark": COLOURS}
 """Rules by colour scheme: schemes differ in colours alone."""
 
 
-def test_it_can_be_read_by_everybody(page, graph):
+def test_the_page_is_accessible(page, graph):
     from axe_playwright_python.sync_playwright import Axe
 
     graph.processes.signal("simulator", signal.SIGSTOP)  # or the page is drawn again and again
@@ -219,7 +219,7 @@ def test_it_can_be_read_by_everybody(page, graph):
         graph.processes.signal("simulator", signal.SIGCONT)
 
 
-def test_it_fits_one_screen(page):
+def test_the_page_fits_one_screen(page):
     for width, height in ((1366, 768), (1920, 1080), (1024, 768)):
         page.set_viewport_size({"width": width, "height": height})
         size = page.evaluate("[document.body.scrollWidth, document.body.scrollHeight]")

@@ -56,7 +56,7 @@ def test_remaining_work_is_not_started_after_the_results_are_closed():
     assert 1 <= len(started) < 50
 
 
-def test_an_interrupted_measurement_goes_on(tmp_path):
+def test_an_interrupted_measurement_can_be_continued(tmp_path):
     started, path, work = [], tmp_path / "runs.jsonl", {str(i): (i,) for i in range(5)}
 
     def run(i):

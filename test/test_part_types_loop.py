@@ -17,7 +17,7 @@ UNEVEN = Disturbances(friction_spread=0.1, friction_patches=0.1, highlights=0.03
     + [with_few("sort_shapes"), with_few("sort_mixed")],
     ids=lambda scenario: scenario.name,
 )
-def test_parts_of_types_come_where_the_task_wants_them(scenario):
+def test_parts_of_types_reach_their_targets(scenario):
     setup = Setup(scenario, seed=7, disturbances=UNEVEN, effort=FEW_STARTS)
     row = summary(setup, load_rig(scenario.rig))
     assert row["success"], row["message"]

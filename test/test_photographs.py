@@ -35,7 +35,7 @@ def disc(x, y, radius, label="disc", touching=False):
     return (x, y, radius, np.nan, 0, label, touching)
 
 
-def test_the_list_is_whole():
+def test_the_list_of_photographs_is_complete():
     listed = load_photographs()
     assert len({p.name for p in listed}) == len(listed) >= 30
     for p in listed:

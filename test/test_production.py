@@ -139,7 +139,7 @@ def test_parts_are_neither_made_nor_forgotten():
     assert there <= 2 * 10
 
 
-def test_a_crowd_that_is_to_leave_does_not_pin_wanted_parts_at_the_chute():
+def test_a_crowd_on_its_way_to_the_chute_does_not_block_requested_parts():
     """Three black ones stand before it, with 22 grey ones behind them."""
     black = ((273, 59), (280, -87), (279, 103))
     grey = (

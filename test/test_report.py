@@ -180,7 +180,7 @@ def test_the_pareto_front_is_a_staircase():
     assert front_of("", *places) == []
 
 
-def test_no_front_goes_through_what_does_not_count():
+def test_the_pareto_front_ignores_hollow_points():
     from report.axis import Axis
     from report.panels import Panels, Style
 

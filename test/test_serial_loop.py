@@ -32,7 +32,7 @@ TASK = {
         (LineFaults(), "reset"),
     ],
 )
-def test_the_task_goes_on(tmp_path, trouble, event):
+def test_the_task_continues_after_a_fault(tmp_path, trouble, event):
     file = tmp_path / "task.yaml"
     file.write_text(yaml.safe_dump(TASK), encoding="utf-8")
     schedule = replace(FaultSchedule(trouble), disconnect_s=0.8)
@@ -66,7 +66,7 @@ def test_the_judge_detects_values_beyond_the_limits(name, row, value):
     assert verdict(np.zeros((3, 4))).kept
 
 
-def test_the_judge_sees_corners_and_forces():
+def test_the_judge_detects_accelerations_of_corners_and_forces():
     """A turn: motors are nearer to the centre than the corners, and all push."""
     rig = load_rig()
     spin = 90.0  # rad/s2
@@ -79,7 +79,7 @@ def test_the_judge_sees_corners_and_forces():
     assert reported.force * rig.limits.force <= inertia * spin / min(lever)
 
 
-def test_the_judge_sees_a_jump():
+def test_the_judge_detects_a_jump():
     still, moved = np.zeros((3, 4)), np.zeros((3, 4))
     moved[0, 1] = 1e-5
     assert verdict(still, still).kept

@@ -378,7 +378,7 @@ WAYS = [again, lifecycle, anew, ended(signal.SIGINT), ended(signal.SIGTERM),
         ended(signal.SIGKILL), homed]  # fmt: skip
 
 
-def test_no_input_undoes_a_stop(bench):
+def test_no_input_clears_a_stop(bench):
     board = bench.board
     bench.start()
     bench.tells(OFF)
@@ -397,7 +397,7 @@ def test_no_input_undoes_a_stop(bench):
         assert board.current
 
 
-def test_an_end_in_mid_motion_stops_the_plate_for_good(bench):
+def test_the_end_of_the_driver_during_a_motion_stops_the_plate_until_an_enable(bench):
     board = bench.board
     bench.start()
     bench.tells(OFF)

@@ -35,7 +35,7 @@ def test_a_set_up_reports_that_it_waits_for_another_one(tmp_path):
     assert "ROS 'foxy' is sourced" in errors
 
 
-def test_it_reports_the_progress_of_a_step(tmp_path):
+def test_set_up_reports_the_progress_of_a_step(tmp_path):
     script = (ROOT / "tools" / "setup.sh").read_text()
     functions = script[script.index("say() {") : script.index("fail() {")]
     (tmp_path / "log").write_text("[1/3] one\n[2/3] two\n-- no count\n")

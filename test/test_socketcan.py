@@ -207,7 +207,7 @@ def test_late_setpoints_brake_the_plate_and_prevent_an_enable(bench):
     assert order.done
 
 
-def test_a_host_that_falls_silent_is_missed(bench):
+def test_the_timeout_of_a_silent_host_is_detected(bench):
     bench.ready()
     bench.transport.send(shaking(0.004), 20)
     bench.run(120)
@@ -397,7 +397,7 @@ def test_a_process_that_has_ended_is_no_broken_pipe():
         port.close()
 
 
-def test_its_delay_can_be_queried(program, monkeypatch, capsys):
+def test_the_delay_of_setpoints_is_reported(program, monkeypatch, capsys):
     monkeypatch.setattr("plate_drives.lateness.program_of", lambda _: program)
     monkeypatch.setattr(sys, "argv", ["lateness", "linear_motors", "--seconds", "0.2"])
     with pytest.raises(SystemExit) as end:

@@ -54,7 +54,7 @@ def cycle_starts(measured) -> list[tuple[float, float]]:
     return reported
 
 
-def test_plate_goes_on_in_motion_and_rests_when_nothing_comes(firmware):
+def test_the_plate_continues_in_motion_and_rests_without_new_cycles(firmware):
     transport = enabled(firmware)
     transport.send(table(0), 1)
     measured, tables = [], 1
@@ -89,7 +89,7 @@ def test_a_table_with_another_start_is_refused_and_the_tail_is_played(firmware):
 
 
 @pytest.mark.parametrize("dead", [False, True])
-def test_a_stop_and_a_dead_host_end_at_rest(firmware, dead):
+def test_after_a_stop_or_the_end_of_the_host_the_plate_rests(firmware, dead):
     transport = enabled(firmware)
     for number in range(3):
         transport.send(table(number), 1)

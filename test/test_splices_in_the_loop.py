@@ -128,7 +128,7 @@ def moving(cycles):
     return [cycle.knot_pose.any() for cycle in cycles]
 
 
-def test_without_faults_the_plate_goes_on_from_cycle_to_cycle():
+def test_without_faults_the_plate_continues_from_cycle_to_cycle():
     line = Line()
     assert line.run().phase == "done"
     moves = np.array(moving(line.played))
@@ -139,14 +139,14 @@ def test_without_faults_the_plate_goes_on_from_cycle_to_cycle():
 
 
 @pytest.mark.parametrize("name", list(vars(Faults())))
-def test_with_each_fault_the_task_goes_on(name):
+def test_with_each_fault_the_task_continues(name):
     line = Line(seed=1)
     progress = line.run(replace(Faults(), **{name: 0.3}))
     assert progress.phase == "done", progress.text
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_after_any_faults_it_goes_on_after_a_tail_and_a_rest(seed):
+def test_after_any_faults_the_plate_continues_after_a_tail_and_a_rest(seed):
     line = Line(seed)
     fractions = dict(
         zip(vars(Faults()), np.random.default_rng(seed).uniform(0, 0.5, 7), strict=True)
@@ -183,7 +183,7 @@ def test_a_player_without_reports_gets_cycles_from_rest_to_rest():
     assert all(cycle.starts_at_rest and cycle.tail is None for cycle in line.played)
 
 
-def test_a_player_that_ceases_to_report_is_no_longer_believed():
+def test_a_driver_that_stops_reporting_gets_cycles_from_rest():
     line = Line(seed=3)
     while sum(moving(line.played)) < 4:
         line.step()

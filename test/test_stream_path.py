@@ -114,7 +114,7 @@ def test_an_interrupted_host_or_device_brakes_the_plate_until_a_person_enables(a
     assert bench.judge.verdict().kept
 
 
-def test_a_stream_goes_on_in_motion_or_is_brought_to_rest():
+def test_a_stream_continues_in_motion_or_is_brought_to_rest():
     """With cycles that are longer than the stream is ahead; a device in motion brakes if its stream
     is broken off."""
     times, *states = swing(0.004).cycle.knots
@@ -186,7 +186,7 @@ def test_a_table_that_the_device_cannot_store_ahead_is_refused(pieces, period_s,
     assert bench.judge.verdict().kept
 
 
-def test_a_stream_ends_at_rest_when_no_more_cycles_come():
+def test_a_stream_ends_at_rest_without_further_cycles():
     """The host has nothing more to send: no fault, and the next cycle needs no enable."""
     bench = Bench(LineFaults(baud=921_600.0))
     bench.transport.send(swing(0.004), 3)

@@ -154,7 +154,7 @@ def test_a_stop_brakes_along_the_path_and_latches(rig):
     check(rig)
 
 
-def test_it_does_not_promise_what_it_cannot_do(rig):
+def test_the_relay_refuses_a_power_cut_and_an_enable_without_feedback(rig):
     rig.run(0.1)
     rig.relay.enable()
     rig.relay.send(table(0.002), 100)

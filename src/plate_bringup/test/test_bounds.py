@@ -47,7 +47,7 @@ def test_a_motion_comes_near_the_bound_by_acceleration(ratio):
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_no_motion_along_a_line_beats_the_bounds(seed):
+def test_no_motion_along_a_line_exceeds_the_bounds(seed):
     rng = np.random.default_rng(seed)
     period, n = 0.1, 400
     t = np.arange(n) / n * 2 * np.pi
@@ -65,7 +65,7 @@ def test_no_motion_along_a_line_beats_the_bounds(seed):
         assert drift <= bounds.stroke + 1e-3
 
 
-def test_no_speed_where_nothing_slides():
+def test_the_speed_bound_is_zero_if_no_part_slides():
     assert speed_bounds(shaken(0.9 * A), 0.1).minimum == 0
 
 
@@ -77,7 +77,7 @@ def test_motors_that_are_weak_bound_too():
     assert weak.accel < strong.accel / 5
 
 
-def test_least_time():
+def test_minimum_time_of_a_displacement():
     """Half of the way gaining speed at mu g, half losing it."""
     t = rest_to_rest_s(0.1, A)
     assert 2 * (A * (t / 2) ** 2 / 2) == pytest.approx(0.1)

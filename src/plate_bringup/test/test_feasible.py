@@ -39,13 +39,13 @@ def shaken(gamma):
 @pytest.mark.parametrize(
     "scenario", [load_scenario("sort_4"), with_few("sort_corners_12"), load_scenario("assemble_8")]
 )
-def test_a_strong_rig_is_likely_to_do_it(scenario):
+def test_a_strong_rig_is_likely_to_finish_the_task(scenario):
     done = rehearse(RIG, scenario, 0)
     assert not done.lost
     assert done.time_s < scenario.time_limit_s
 
 
-def test_a_path_takes_as_long_as_it_is_long(monkeypatch):
+def test_the_time_of_a_path_is_proportional_to_its_length(monkeypatch):
     """Two rectangles of 0.56 m at 40 mm/s; references start slowly until the latency is known."""
     monkeypatch.setattr("plate_bringup.rehearsal.MAX_CYCLES", 150)  # to its end
     path = rehearse(RIG, load_scenario("follow_2"), 0)
@@ -54,7 +54,7 @@ def test_a_path_takes_as_long_as_it_is_long(monkeypatch):
     assert path.speed == pytest.approx(0.04, rel=0.05)
 
 
-def test_a_plate_that_hardly_shakes_is_not(monkeypatch):
+def test_a_weak_rig_is_unlikely_to_finish_the_task(monkeypatch):
     """No part goes 40 mm/s where the bound is 10: mu g T/16 (G - 1/G), T being 0.1 s."""
     monkeypatch.setattr("plate_bringup.rehearsal.MAX_CYCLES", 40)
     verdict = rehearse_task(shaken(1.2), load_scenario("follow_2"), 1)
@@ -102,18 +102,18 @@ def test_the_rest_of_a_rehearsal_is_estimated_from_its_second_half(
     assert result.limit_use == (0, 0, 0, 0, 0)
 
 
-def test_the_less_it_shakes_the_longer_it_takes():
+def test_a_lower_acceleration_limit_lengthens_the_task():
     times = [rehearse(shaken(g), with_few("sort_4"), 0).time_s for g in (8.0, 16.0, 40.0)]
     assert times == sorted(times, reverse=True)
     assert times[0] > 1.5 * times[2]
 
 
-def test_a_short_stroke_binds():
+def test_a_short_stroke_is_reported_as_the_limit():
     rig = replace(RIG, limits=replace(RIG.limits, stroke_m=0.001))
     assert rehearse(rig, with_few("sort_4"), 0).limit_use.binds == "stroke"
 
 
-def test_it_keeps_the_limits():
+def test_a_rehearsal_keeps_the_limits():
     used = rehearse(RIG, load_scenario("sort_4"), 1).limit_use
     assert 0.5 < max(used) <= 1
 
@@ -193,7 +193,7 @@ def test_a_path_that_no_part_can_follow_is_followed_more_slowly(speed):
     assert 2 * 0.56 / speed < done.time_s < np.inf
 
 
-def test_places_as_near_as_a_scenario_may_have_them():
+def test_targets_at_the_minimum_allowed_distance_are_reached():
     scenario = load_scenario("assemble_8")
     near = 2.5 * RIG.parts.radius_m * np.array([[-1, 0], [1, 0], [0, 1], [0, -1], [0, 0]])
     task = replace(scenario.task, labels=("black",) * 5, place=tuple(map(tuple, near)))

@@ -23,7 +23,7 @@ def test_the_list_of_nodes_is_checked(tmp_path):
         load_graph(path)
 
 
-def test_with_simulated_time_all_but_its_source_follow_it():
+def test_with_simulated_time_all_other_nodes_use_it():
     kinds = ({"lockstep": True}, {"rate": 2.0}, {"simulated_time": True})
     for options in (RunOptions(**kind) for kind in kinds):
         follows = [n for n in NAMES if options.parameters(GRAPH[n]).get("use_sim_time")]
@@ -66,7 +66,7 @@ def test_a_camera_may_run_free_and_over_a_serial_line_starts_are_reported():
     assert RunOptions(image_rate=30.0).parameters(GRAPH["simulator"])["image_rate"] == 30
 
 
-def test_on_hardware_nothing_stands_in_for_it():
+def test_hardware_is_not_replaced_by_simulated_nodes():
     options = RunOptions(transport="serial", hardware=True)
     assert [node.name for node in options.nodes(load_graph())] == NAMES[1:]
     assert "port" not in options.parameters(GRAPH["driver"])

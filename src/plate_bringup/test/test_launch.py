@@ -319,7 +319,7 @@ def test_an_unknown_argument_of_the_started_launch_file_is_refused(
     ("name", "text", "kind"),
     [("seed", "x", "an integer"), ("seed", "1.5", "an integer"), ("rate", "fast", "a number")],
 )
-def test_a_number_that_is_none_is_refused_by_name(stand_in, name, text, kind):
+def test_an_invalid_number_is_refused_by_name(stand_in, name, text, kind):
     with pytest.raises(GraphError, match=f"^launch argument {name} is '{text}', allowed: {kind}$"):
         started("closed_loop", **{name: text})
 
@@ -387,9 +387,7 @@ OTHERS = {
 
 
 @pytest.mark.parametrize("own", ["mine.launch.py", "closed_loop.launch.py"])
-def test_arguments_of_a_launch_file_that_includes_ours_are_its_own(
-    stand_in, monkeypatch, tmp_path, own
-):
+def test_an_including_launch_file_may_have_other_arguments(stand_in, monkeypatch, tmp_path, own):
     (tmp_path / own).touch()  # a namesake of ours is another file
     words = [f"{name}:={value}" for name, value in OTHERS.items()]
     for path in ([str(tmp_path / own)], ["my_package", own]):
@@ -440,7 +438,7 @@ def test_all_nodes_in_one_process_have_the_same_parameters(stand_in):
     }
 
 
-def test_nodes_that_somebody_else_starts_wait(stand_in):
+def test_nodes_that_another_program_starts_wait(stand_in):
     for given, waits in (
         ({}, False),
         ({"autostart": "true"}, False),
@@ -467,7 +465,7 @@ def end_of(node, code, context=None):
     return node.on_exit(types.SimpleNamespace(returncode=code), context)
 
 
-def test_a_node_that_ends_takes_the_others_down_and_its_last_words_are_shown(stand_in, tmp_path):
+def test_the_end_of_a_node_stops_the_others_and_its_last_output_is_shown(stand_in, tmp_path):
     nodes, _ = started("closed_loop")
     running, over = (types.SimpleNamespace(is_shutdown=flag) for flag in (False, True))
     reported, shutdown = end_of(nodes["solver"], 0)

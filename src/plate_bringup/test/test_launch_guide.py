@@ -30,7 +30,7 @@ class StandIn(types.ModuleType):
         return lambda *args, **values: types.SimpleNamespace(kind=name, args=args, **values)
 
 
-def test_it_includes_files_that_are_there_with_arguments_that_they_have(monkeypatch):
+def test_the_guide_includes_existing_files_with_valid_arguments(monkeypatch):
     for name in ("launch", "launch.actions", "launch.event_handlers", "launch.substitutions",
                  "launch_ros", "launch_ros.actions", "launch_ros.substitutions"):  # fmt: skip
         monkeypatch.setitem(sys.modules, name, StandIn(name))
@@ -125,7 +125,7 @@ def test_launch_starts_both_plates_and_the_robot(tmp_path):
 
 
 @pytest.mark.needs("launch_ros")
-def test_its_parameters_reach_the_nodes_by_an_outer_file_too(tmp_path):
+def test_an_including_launch_file_passes_the_parameters_to_the_nodes(tmp_path):
     """Arguments win over it, and it wins over the defaults."""
     (tmp_path / "own.yaml").write_text(PARAMETERS)
     outer = f"            SetParametersFromFile({str(tmp_path / 'own.yaml')!r}),\n"
@@ -144,7 +144,7 @@ def test_its_parameters_reach_the_nodes_by_an_outer_file_too(tmp_path):
     assert nodes["/cell/right/simulator"]["scenario"] == "assemble_8"
 
 
-def test_its_parameters_are_those_of_the_nodes():
+def test_the_parameters_of_the_guide_exist_in_the_nodes():
     from plate_solver.node import Options as SolverOptions
     from plate_vision.node import DetectorParameters
 

@@ -244,7 +244,7 @@ with PlateClient.connect() as plate:
     assert program(text) == (0, "")
 
 
-def test_a_closed_client_says_so_in_all_threads():
+def test_a_closed_client_raises_in_all_threads():
     problems = []
 
     def wait():
@@ -269,7 +269,7 @@ def test_a_closed_client_says_so_in_all_threads():
             call()
 
 
-def test_a_client_of_a_users_node_and_its_task_report_that_the_client_is_closed():
+def test_a_closed_client_of_a_users_node_reports_this_in_its_tasks_too():
     context = rclpy.Context()
     rclpy.init(context=context)
     node = rclpy.create_node("user", context=context, namespace=f"/user_{os.getpid()}")

@@ -268,7 +268,7 @@ def test_any_service_that_takes_nothing_can_be_called(graph):
         call("a b")
 
 
-def test_nobody_is_there(graph, view):
+def test_commands_report_a_missing_graph(graph, view):
     alone = view("/nowhere")
     for command in ("home", "state", "params", "cancel", "set"):
         words = (
@@ -335,7 +335,7 @@ finally:
     assert output.splitlines()[-1] == "set()"
 
 
-def test_a_reader_that_has_enough_is_no_error(program):
+def test_a_closed_output_pipe_is_no_error(program):
     reader, writer = os.pipe()
     os.close(reader)
     text = "from plate_client.command import main; main()"
@@ -361,7 +361,7 @@ main()
     assert (done.returncode, done.stderr) == (130, "plate: interrupted\n")
 
 
-def test_a_mistyped_command_gets_a_suggestion(monkeypatch, capsys):
+def test_an_unknown_command_lists_a_similar_command(monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["plate", "enabel"])
     with pytest.raises(SystemExit) as end:
         main()

@@ -84,7 +84,7 @@ def test_ctrl_c_ends_the_measurement_also_before_it_is_answered():
     assert graph.calls == [True, False]
 
 
-def test_it_ends_when_nobody_reads_its_lines(monkeypatch):
+def test_the_measurement_ends_if_its_output_is_closed(monkeypatch):
     def broken(*_, **__):
         raise BrokenPipeError
 

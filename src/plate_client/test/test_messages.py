@@ -60,7 +60,7 @@ def test_deferred_signals_wait_for_the_next_messages(number):
             signal.signal(each, handler)
 
 
-def test_it_ends_when_the_condition_holds_or_the_time_is_over():
+def test_spinning_ends_when_the_condition_holds_or_the_time_is_over():
     handled = []
     assert spin_until(handled.append, lambda: len(handled) == 3, 10.0)
     assert len(handled) == 3

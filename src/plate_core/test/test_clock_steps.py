@@ -30,7 +30,7 @@ def test_a_stamp_from_before_a_step_back_is_older_than_it_seems():
     assert record.earliest_ns(round(101.03 * S)) == round(101.03 * S)
 
 
-def test_a_step_forward_makes_no_stamp_younger():
+def test_a_step_forward_does_not_reduce_the_age_of_a_stamp():
     record = readings((0, 100), (1, 101.9))
     assert record.earliest_ns(round(100.9 * S)) == round(100.9 * S)
 

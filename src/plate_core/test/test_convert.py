@@ -54,13 +54,13 @@ def some_request() -> CycleRequest:
     return CycleRequest.make(parts, force, np.abs(tolerance), torque, 0.2)
 
 
-def test_stamps():
+def test_stamps_are_converted_to_nanoseconds_and_seconds():
     assert convert.nanoseconds(STAMP) == 1_234_567_890_123_456_789
     assert convert.seconds(STAMP) == pytest.approx(1_234_567_890.123456789)
     assert convert.to_time(2_999_999_999).nanosec == 999_999_999
 
 
-def test_cycle_there_and_back():
+def test_a_cycle_is_converted_to_a_message_and_back():
     msg = over_the_wire(convert.cycle_to_msg(cycle(), STAMP))
     assert convert.nanoseconds(msg.header.stamp) == convert.nanoseconds(STAMP)
     assert msg.joint_names == ["x", "y", "theta"]
@@ -94,7 +94,7 @@ def test_data_of_another_frame_or_type_are_refused():
         convert.msg_to_parts(parts)
 
 
-def test_motors_there_and_back():
+def test_a_motor_table_is_converted_to_a_message_and_back():
     msg = over_the_wire(convert.motors_to_msg(RIG, cycle(), STAMP))
     assert msg.joint_names == ["motor_1", "motor_2", "motor_3", "motor_4"]
     back = convert.msg_to_motors(RIG, msg)
@@ -102,7 +102,7 @@ def test_motors_there_and_back():
     np.testing.assert_allclose(back.knot_accel, cycle().knot_accel, atol=1e-9)
 
 
-def test_parts_there_and_back():
+def test_parts_are_converted_to_a_message_and_back():
     sent = some_request()
     back = convert.msg_to_request(over_the_wire(convert.request_to_msg(sent, STAMP)))
     assert back.parts.ids == sent.parts.ids
@@ -128,7 +128,7 @@ def test_measurement_errors_of_parts_are_converted():
     assert (untold.confidence, untold.covariance[0]) == (-1, -1)
 
 
-def test_overlooked_things_there_and_back():
+def test_overlooked_objects_are_converted_to_a_message_and_back():
     parts = Parts.make(("black_1",), np.zeros((1, 2)))
     sent = (OverlookedThing(0.1, -0.2, 0.003, "too small"), OverlookedThing(0, 0, 0.02, "group"))
     back = over_the_wire(convert.parts_to_msg(parts, STAMP, overlooked=sent))
@@ -150,7 +150,7 @@ def test_forces_with_the_state_at_the_start():
     np.testing.assert_allclose(back.parts.velocity, sent.parts.velocity, atol=1e-12)
 
 
-def test_targets_there_and_back():
+def test_targets_are_converted_to_a_message_and_back():
     low, width, weight = np.random.default_rng(3).uniform(0, 0.2, (3, 3, 2))
     sent = replace(some_request(), targets=Targets(low, low + width, weight, 0.02))
     back = convert.msg_to_request(over_the_wire(convert.request_to_msg(sent, STAMP))).targets
@@ -160,7 +160,7 @@ def test_targets_there_and_back():
     assert convert.msg_to_request(convert.request_to_msg(some_request(), STAMP)).targets is None
 
 
-def test_angles_there_and_back():
+def test_target_angles_are_converted_to_a_message_and_back():
     free, angles = (
         np.zeros((3, 2)),
         AngleTargets(*np.array([[-1.0, 0, 2], [-1, 0.1, 3], [0, 1, 2]])),
@@ -194,7 +194,7 @@ def test_wrong_targets(name, value, message):
         convert.msg_to_request(msg)
 
 
-def test_driver_status_there_and_back():
+def test_the_driver_status_is_converted_to_a_message_and_back():
     for state in DriverState:
         for reason in DriverReason:
             status = DriverStatus(state, reason, "why", 1_234_567_890_123_456_789)
@@ -217,7 +217,7 @@ def test_codes_of_the_driver_are_those_of_the_message():
     assert codes == {each.name: int(each) for each in (*DriverState, *DriverReason)}
 
 
-def test_seen_parts_there_and_back():
+def test_detected_parts_are_converted_to_a_message_and_back():
     sent = some_request().parts
     msg = over_the_wire(convert.parts_to_msg(sent, STAMP, Part.SIMULATED))
     assert [part.type for part in msg.parts] == ["black", "white", "white"]
@@ -245,7 +245,7 @@ def test_no_parts():
     assert back.position.shape == (0, 2)
 
 
-def test_images_there_and_back():
+def test_images_are_converted_to_messages_and_back():
     rng = np.random.default_rng(2)
     mono = rng.integers(0, 256, (7, 5), dtype=np.uint8)
     colour = rng.integers(0, 256, (7, 5, 3), dtype=np.uint8)

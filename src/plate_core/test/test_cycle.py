@@ -35,14 +35,14 @@ def sinusoids(t: np.ndarray, harmonics: int = 2) -> list[np.ndarray]:
     return result
 
 
-def test_takes_on_its_knots():
+def test_the_motion_passes_through_its_knots():
     cycle = random_cycle(0)
     np.testing.assert_allclose(cycle.pose(cycle.times), cycle.knot_pose, atol=1e-13)
     np.testing.assert_allclose(cycle.twist(cycle.times), cycle.knot_twist, atol=1e-11)
     np.testing.assert_allclose(cycle.accel(cycle.times), cycle.knot_accel, atol=1e-8)
 
 
-def test_closes():
+def test_a_periodic_cycle_ends_in_its_initial_state():
     cycle = random_cycle(1)
     for function in (cycle.pose, cycle.twist, cycle.accel):
         start, end = function(np.array([0, cycle.period]))
@@ -226,7 +226,7 @@ def test_knots_cannot_be_changed():
             array[:] = 1.0
 
 
-def test_a_knot_given_twice_is_where_the_tail_begins():
+def test_the_tail_begins_at_the_repeated_knot():
     times = np.array([0.0, 0.05, 0.1, 0.1, 0.15])
     rng = np.random.default_rng(5)
     states = [rng.normal(size=(5, 3)) * size for size in (0.003, 0.3, 30)]

@@ -30,7 +30,7 @@ def talker(clock):
     rclpy.shutdown()
 
 
-def test_reports_come_though_simulated_time_stands_still(talker, clock):
+def test_reports_are_published_while_simulated_time_stands_still(talker, clock):
     node, received, executor = talker
     periods = []
     began = clock.monotonic()

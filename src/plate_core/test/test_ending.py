@@ -35,7 +35,7 @@ run_node(Stuck)
 """
 
 
-def test_a_node_that_cannot_be_destroyed_ends_as_it_would_have():
+def test_a_node_that_cannot_be_destroyed_keeps_its_exit_code():
     pytest.importorskip("rclpy")
     done = subprocess.run([sys.executable, "-c", NODE], capture_output=True, text=True, timeout=120)
     assert (done.returncode, done.stdout.split()[-1]) == (2, "released")

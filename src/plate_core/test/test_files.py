@@ -175,7 +175,7 @@ def test_a_folder_that_cannot_be_written_is_refused_before_the_first_write(tmp_p
     assert not list(tmp_path.iterdir())
 
 
-def test_an_own_file_that_is_a_link_stays_one(tmp_path):
+def test_an_own_file_that_is_a_link_remains_a_link(tmp_path):
     (tmp_path / "far").mkdir()
     (tmp_path / "near.json").symlink_to(tmp_path / "far" / "rows.json")
     with OwnFile(tmp_path / "near.json") as file:

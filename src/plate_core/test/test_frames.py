@@ -12,7 +12,7 @@ POSE = np.array([0.004, -0.003, 0.05])
 POINTS = np.random.default_rng(0).uniform(-0.3, 0.3, (20, 2))
 
 
-def test_there_and_back():
+def test_to_plate_inverts_to_home():
     np.testing.assert_allclose(to_plate(POSE, to_home(POSE, POINTS)), POINTS, atol=1e-15)
 
 

@@ -140,7 +140,7 @@ def test_a_window_of_which_a_side_is_no_number_is_not_the_whole_plate(value):
         goal_to_scenario(goal)
 
 
-def test_an_order_without_a_window_is_for_the_whole_plate():
+def test_an_order_without_a_window_applies_to_the_whole_plate():
     everywhere, window = FeedPick(type="nut"), FeedPick(type="nut", y_max=0.1)
     first, second = msg_to_order(FeedOrder(mode=1, picks=[everywhere, window])).picks
     assert (first.low, first.high) == ((-math.inf, -math.inf), (math.inf, math.inf))

@@ -43,14 +43,14 @@ def test_speeds_are_the_derivatives_of_the_travel():
     np.testing.assert_allclose(second, qdd, atol=1e-3 * np.max(np.abs(qdd)))
 
 
-def test_there_and_back():
+def test_plate_state_inverts_motor_state():
     motion = random_motion(2)
     back = plate_state(RIG, *motor_state(RIG, *motion))
     for ours, theirs in zip(back, motion, strict=True):
         np.testing.assert_allclose(ours, theirs, atol=1e-12 * np.max(np.abs(theirs)))
 
 
-def test_back_and_there():
+def test_motor_state_inverts_plate_state():
     motors = motor_state(RIG, *random_motion(3))
     there = motor_state(RIG, *plate_state(RIG, *motors))
     for ours, theirs in zip(there, motors, strict=True):

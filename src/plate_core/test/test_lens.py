@@ -164,7 +164,7 @@ def test_an_invalid_lens_is_refused(matrix, distortion, model, words):
         lens_of_matrix(matrix, distortion, model)
 
 
-def test_a_pole_is_the_end_of_what_a_lens_shows():
+def test_points_beyond_a_pole_of_the_lens_are_not_visible():
     """r (1 + r2) / (1 - r2) grows to infinity at r = 1, so every visible point has a ray below
     it."""
     lens = Lens((100.0, 100.0), (0.0, 0.0), (1, 0, 0, 0, 0, -1, 0, 0), "rational_polynomial")
@@ -270,7 +270,7 @@ def test_place_by_perspective_alone(tilt, about):
 
 
 @pytest.mark.parametrize(("tilt", "height"), [(0, 0.8), (4, 0.8), (10, 5.0)])
-def test_no_place_without_perspective(tilt, height):
+def test_without_perspective_the_camera_position_is_unknown(tilt, height):
     """A camera straight above, nearly so, or far away: a pixel of a corner decides."""
     rig, _, _ = rig_seen_from(tilt, 30, height, focal=900 * height / 0.8)
     assert camera_place(rig) is None

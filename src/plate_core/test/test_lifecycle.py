@@ -141,7 +141,7 @@ def entities(node):
     return [len(list(each)) for each in kinds]
 
 
-def test_it_works_while_it_is_active_and_only_then(peer):
+def test_a_node_works_only_while_it_is_active(peer):
     empty = entities(peer.echo)
     peer.wait_for_report(Level.WARN, "unconfigured", 0)
     for life in (1, 2):
@@ -195,7 +195,7 @@ def test_a_publisher_without_a_name_is_not_a_second_node(peer, monkeypatch):
 
 
 @pytest.mark.parametrize("before", [(), ("configure",), ("configure", "activate")])
-def test_it_shuts_down_from_every_state_and_leaves_nothing(peer, before):
+def test_a_node_shuts_down_from_every_state_and_releases_everything(peer, before):
     empty = entities(peer.echo)
     for transition in before:
         assert peer.change(transition)
@@ -336,7 +336,7 @@ def test_the_clock_changes_while_the_node_is_not_active(peer):
         assert peer.change("deactivate")
 
 
-def test_simulated_time_of_nobody_or_of_two_nodes_is_reported(peer):
+def test_a_missing_or_second_source_of_simulated_time_is_reported(peer):
     other = rclpy.create_node("other")
     try:
         assert peer.set("use_sim_time", True).successful

@@ -88,7 +88,7 @@ def test_worst_is_the_largest_fraction(limit):
     assert usage(rig, cycle).worst == pytest.approx(3)
 
 
-def test_rest_uses_nothing():
+def test_a_cycle_at_rest_uses_no_limit():
     assert usage(RIG, PlateCycle.rest(PERIOD)).worst == 0
 
 

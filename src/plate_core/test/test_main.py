@@ -80,7 +80,7 @@ def start(*words: str, **options) -> subprocess.Popen:
     )
 
 
-def test_signals_end_it_in_peace(hears):
+def test_signals_end_the_program_normally(hears):
     with start() as process:
         assert hears(process, "ready")
         process.send_signal(signal.SIGINT)
@@ -93,7 +93,7 @@ def test_signals_end_it_in_peace(hears):
     assert errors == ""
 
 
-def test_a_signal_that_rclpy_turns_into_another_error_ends_it_in_peace():
+def test_a_signal_that_rclpy_converts_to_another_error_ends_the_program_normally():
     done = start("convert")
     output, errors = done.communicate(timeout=PATIENCE_S)
     assert (done.returncode, output, errors) == (0, "", "")
@@ -108,7 +108,7 @@ def inherited():
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_signals_end_it_whatever_is_inherited(hears, number):
+def test_signals_end_the_program_with_any_inherited_handlers(hears, number):
     with start(preexec_fn=inherited) as process:
         assert hears(process, "ready")
         process.send_signal(number)

@@ -84,7 +84,7 @@ def test_motions_within_reach_have_the_force(seed):
     assert usage(rig, cycle).force <= 20.0 * 1.02
 
 
-def test_weakest_of_all_limits_counts():
+def test_the_weakest_limit_determines_the_reach():
     assert RIG.reach == (100.0, "accel_mps2")
     assert weak(20.0, 15.0).reach.accel == pytest.approx(20.0)
     assert weak(20.0, 15.0).reach.limit.startswith("force_n of motor_")

@@ -108,7 +108,7 @@ def addresses(folder: Path) -> list[str]:
     return sorted(done.stdout.split())
 
 
-def test_a_profile_that_lies_in_the_current_folder_opens_nothing(tmp_path):
+def test_a_network_profile_in_the_current_folder_is_ignored(tmp_path):
     pytest.importorskip("rclpy")
     alone = addresses(tmp_path)
     assert "127.0.0.1" in alone
@@ -116,7 +116,7 @@ def test_a_profile_that_lies_in_the_current_folder_opens_nothing(tmp_path):
     assert addresses(tmp_path) == alone
 
 
-def test_a_profile_of_somebody_else_stays(tmp_path):
+def test_a_network_profile_of_the_user_is_kept(tmp_path):
     profile = tmp_path / "dds.xml"
     profile.touch()
     environ = {"FASTRTPS_DEFAULT_PROFILES_FILE": str(profile)}

@@ -15,7 +15,7 @@ def two_detected(numbers, period=0.1):
 
 
 @pytest.mark.parametrize("ahead", [-40, -1, 0, 1, 40])
-def test_two_that_take_turns(ahead):
+def test_two_alternating_publishers_are_detected(ahead):
     pairs = ((50 + k, 50 + k + ahead) for k in range(8))
     assert two_detected([*itertools.chain.from_iterable(pairs)])
 
@@ -41,7 +41,7 @@ def test_a_single_publisher_is_not_reported(numbers):
     assert not two_detected(list(numbers))
 
 
-def test_it_is_over_once_one_has_ended():
+def test_a_second_publisher_is_no_longer_reported_after_its_end():
     monitor = PublisherMonitor()
     for k in range(10):
         monitor.accepts(k // 2, 0.1 * k)
@@ -64,7 +64,7 @@ def test_messages_of_a_second_publisher_are_not_accepted():
     assert accepted(*ours[:2], *strangers, *ours[2:]) == [True] * 2 + [False] * 5 + [True] * 2
 
 
-def test_another_publisher_takes_the_place_of_one_that_is_silent():
+def test_a_new_publisher_replaces_a_silent_publisher():
     assert accepted((7, 0.0), (8, 0.5), (1, 1.4), (2, 1.9), (3, 2.4)) == [
         True,
         True,

@@ -156,7 +156,7 @@ MARKERS = {
 }  # fmt: skip
 
 
-def test_fiducials(data, load):
+def test_the_markers_of_a_rig_are_read(data, load):
     assert load(data).fiducials is None
     fiducials = load({**data, "fiducials": MARKERS}).fiducials
     assert fiducials.numbers == (0, 1, 2, 17)

@@ -39,7 +39,7 @@ def test_the_plate_turns_counter_clockwise(theta):
     assert np.isclose(z, 0.02)
 
 
-def test_a_prefix_is_put_before_our_frames_once():
+def test_the_prefix_of_frames_is_added_once():
     msg = plate_to_msg(np.zeros(3), STAMP)
     for _ in range(2):
         add_prefix(msg, "left/")

@@ -249,7 +249,7 @@ EDGES = [
 @pytest.mark.parametrize(("text", "old", "key"), EDGES, ids=[key for _, _, key in EDGES])
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("axis", [0, 1])
-def test_places_where_parts_are_lost_are_refused_and_others_near_an_edge_doubted(
+def test_positions_too_near_an_edge_are_refused_and_near_ones_cause_a_warning(
     tmp_path, rig, text, old, key, sign, axis
 ):
     """The stroke and half a radius, 14 mm, have to be; the stroke and 1.25 radii, 20 mm, are
@@ -291,7 +291,7 @@ def test_a_bin_whose_parts_would_all_be_lost_is_refused(tmp_path, rig):
             check_scenario(scenario, rig)
 
 
-def test_classes_that_the_rig_does_not_know_and_angles_that_nobody_sees_are_refused(tmp_path, rig):
+def test_unknown_classes_and_invisible_angles_are_refused(tmp_path, rig):
     with pytest.raises(ScenarioError, match=r"class is 'gray' .did you mean grey.*: black, grey$"):
         check_scenario(load_scenario(write(tmp_path, SORT.replace("grey", "gray"))), rig)
     with pytest.raises(ScenarioError, match=r"marked is false, .*black require marked: true"):

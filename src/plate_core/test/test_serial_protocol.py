@@ -157,7 +157,7 @@ packets = st.builds(Packet, u("H"), messages)
 
 
 @given(packets)
-def test_round_trip(packet):
+def test_a_packet_is_framed_and_parsed_without_changes(packet):
     data = frame(pack(packet))
     assert data.count(0) == 1
     assert len(data) == len(pack(packet)) + 6 <= 255

@@ -25,7 +25,7 @@ def test_the_worst_of_several_findings_counts_and_all_are_reported():
     assert worst([late, old, failed], "") == Finding(Level.ERROR, "failed; no image; late")
 
 
-def test_an_input_is_gone_after_its_timeout_whether_it_ever_came_or_not():
+def test_an_input_times_out_with_and_without_a_first_message():
     topic = Input("image", "image_raw", "check that the camera runs", 1.5, since=10.0)
     assert topic.timed_out(11.5) is None
     assert topic.timed_out(11.6) == Finding(

@@ -54,7 +54,7 @@ def test_a_cycle_is_in_time_from_the_hand_over_on():
     ],
 )
 @pytest.mark.parametrize("repeat", [False, True])
-def test_the_rule(running, sent, expected, repeat):
+def test_the_next_cycle_is_selected_by_the_rule(running, sent, expected, repeat):
     assert next_cycle(running, sent, repeat) is expected
 
 

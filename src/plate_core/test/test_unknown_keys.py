@@ -63,7 +63,7 @@ def cases():
 
 
 @pytest.mark.parametrize(("data", "load", "path"), [*cases()])
-def test_it_is_named(data, load, path, tmp_path):
+def test_an_unknown_key_is_named(data, load, path, tmp_path):
     data = yaml.safe_load(yaml.safe_dump(data))
     inner = data
     for key in path:

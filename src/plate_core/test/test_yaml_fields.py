@@ -15,7 +15,7 @@ def fields(**data) -> Fields:
     return Fields(data, "file.yaml", FileError)
 
 
-def test_good_values():
+def test_allowed_values_are_read():
     f = fields(a=1, b=2.5, c=3, d="x", e=[[1, 2], [3, 4]], f={"g": 1}, h=[{"i": 1}])
     assert f.number("a", 0, 2) == 1.0
     assert isinstance(f.number("a", 0, 2), float)
@@ -66,7 +66,7 @@ def test_defaults_are_for_missing_keys_only():
         (lambda f: f.children("list"), r"list\[0\]: got 1, expected a mapping"),
     ],
 )
-def test_mistakes(read, message):
+def test_wrong_values_are_refused_with_a_message(read, message):
     f = fields(
         x=2,
         y="two",
@@ -206,7 +206,7 @@ def test_numbers_with_an_exponent_are_numbers(tmp_path, text):
     assert read_yaml(path, FileError).number("a", 0, 1) == 0.001
 
 
-def test_a_path_that_is_none_is_refused():
+def test_an_invalid_file_path_is_refused():
     for path in ("a\0b.yaml", 5000 * "a" + ".yaml"):
         with pytest.raises(FileError, match="cannot be read"):
             read_yaml(path, FileError)
@@ -220,7 +220,7 @@ def test_the_fast_parser_and_the_other_one_return_the_same(tmp_path, monkeypatch
     assert fast == [read_yaml(path, FileError)._data for path in paths]
 
 
-def test_no_depth_ends_the_process(tmp_path):
+def test_deeply_nested_yaml_is_refused(tmp_path):
     path = tmp_path / "deep.yaml"
     for depth in (FAST_LENGTH, 10 * FAST_LENGTH):
         path.write_text(depth * "[")

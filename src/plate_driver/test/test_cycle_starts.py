@@ -101,7 +101,7 @@ def test_a_jump_is_not_reported_and_later_starts_are():
     assert len(moving) >= 9
 
 
-def test_telemetry_ahead_of_our_time_is_not_believed():
+def test_telemetry_from_the_future_is_rejected():
     new = Measured(8.0, 3.0, 1, (0,) * 4, (0,) * 4, TABLE, 7.9)
     _, began, problem = CycleStarts(0.0).updated(new, PERIOD, 7.0)
     assert began is None

@@ -74,7 +74,7 @@ WAYS = [
 
 
 @pytest.mark.parametrize("way", WAYS, ids=str)
-def test_no_true_clock_is_doubted(way):
+def test_a_correct_clock_causes_no_warning(way):
     """Any start, any rate that a clock may have, also one that changes."""
     rng = np.random.default_rng(1)
     for _ in range(CASES):
@@ -127,7 +127,7 @@ FOR_A_MOMENT = {"jumps ahead", "jumps back", "wraps at 32 bits", "begins anew"}
 @pytest.mark.parametrize(
     ("way", "far_s"), [(Way(), 2.5), (Way(jitter=0.05), 5.0), (Way(pause=0.3), 5.0)], ids=str
 )
-def test_each_lie_is_found_within_two_seconds(way, far_s, name):
+def test_each_clock_error_is_detected_within_two_seconds(way, far_s, name):
     for seed in range(5):
         rng = np.random.default_rng(seed)
         clock, found, broken = DeviceClock(), None, None
@@ -175,7 +175,7 @@ def test_a_clock_without_pulses_is_rejected():
     assert clock.rejection(later).endswith("for 5 s")
 
 
-def test_no_start_of_a_cycle_is_taken_from_a_clock_that_is_doubted():
+def test_cycle_starts_of_an_unreliable_clock_are_ignored():
     rest = (0.0,) * 4
     new = Measured(1.0, 5.0, 1, rest, rest, TABLE, 0.9, "the device's clock went back by 1.000 s")
     starts = CycleStarts(0.0).updated(replace(new, clock_problem=""), 0.2, 1.0)[0]

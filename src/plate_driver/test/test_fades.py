@@ -92,7 +92,7 @@ def test_few_knots_are_made_more():
     assert len(add_fades(foreign(2, 6)).times) > 2 * 48
 
 
-def test_backwards():
+def test_a_reversed_cycle_runs_backwards():
     cycle = foreign(3)
     back = reverse_time(cycle)
     t = np.linspace(0, PERIOD, 100)

@@ -28,7 +28,7 @@ def ready(since: float = 0.0) -> Freshness:
 @pytest.mark.parametrize(
     ("period", "limit"), [(0.05, 0.3), (0.2, 0.6), (0.3, 0.6), (0.4, 0.6), (1.0, 1.2)]
 )
-def test_the_age_limit_is_two_cycles_and_the_latency_but_no_more_than_it_must(period, limit):
+def test_the_age_limit_is_two_cycles_and_the_latency_within_bounds(period, limit):
     assert age_limit(period) == pytest.approx(limit)
 
 

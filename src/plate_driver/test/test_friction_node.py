@@ -68,7 +68,9 @@ def last_report(driven):
 
 
 @pytest.mark.parametrize("factor", [1.0, 0.9])
-def test_it_measures_writes_and_lets_cycles_through_again(driven, monkeypatch, factor):
+def test_friction_is_measured_and_written_and_cycles_are_accepted_again(
+    driven, monkeypatch, factor
+):
     """Also if the limits permit less than the push that was intended."""
     plate, playback = Plate(driven), driven.node.playback
 
@@ -141,7 +143,7 @@ def test_simulated_time_that_stops_ends_it(monkeypatch):
         driven.close()
 
 
-def test_a_stop_and_its_own_end_it(driven):
+def test_a_stop_or_a_cancel_ends_the_measurement(driven):
     plate = Plate(driven)
     start(driven)
     plate.pass_time(5.0)

@@ -191,7 +191,7 @@ def test_when_cycles_cease_to_come_the_plate_counts_as_resting():
     assert guard.watched(10.4001)[1]
 
 
-def test_a_clock_that_is_put_back_ends_what_was_sent_before():
+def test_a_clock_that_is_set_back_invalidates_earlier_cycles():
     """As after a restart of the simulator: its clock can arrive a little later than its images."""
     cycle = wild_cycle(1, 12, 1e-4, 0.2, 1)
     guard, _ = Guard(RIG).accepted(cycle, 100 * 10**9, 100.0)

@@ -41,7 +41,7 @@ def dense_fractions(cycle: PlateCycle) -> np.ndarray:
 
 
 @pytest.mark.parametrize("size", [1e-5, 1e-3, 0.1, 10.0, 1e6])
-def test_limits_are_never_exceeded_and_no_more_is_taken_than_needed(size):
+def test_limits_are_kept_with_the_smallest_necessary_scaling(size):
     for seed in range(20):
         cycle = random_cycle(seed, size)
         found = scale_to_limits(RIG, cycle)
@@ -85,14 +85,14 @@ def test_every_limit_counts(limit):
     assert getattr(found.usage, limit) <= peak / 4
 
 
-def test_motors_that_soon_become_warm_get_what_they_may_have_for_good():
+def test_weak_motors_get_their_continuous_load():
     weak = replace(RIG, limits=replace(RIG.limits, continuous_force=10.0))
     found = scale_to_limits(weak, random_cycle(0, 1e-3))
     assert found.factor < 1
     assert 0.95 < np.max(found.usage.thermal_load) <= 1 + ROUNDING
 
 
-def test_rest_stays_rest():
+def test_a_cycle_at_rest_is_not_scaled():
     assert scale_to_limits(RIG, PlateCycle.rest(0.05)).factor == 1
 
 

@@ -58,7 +58,7 @@ def conversation(loss: float, trip_s: float, seconds: float, seed: int = 0) -> L
 
 
 @pytest.mark.parametrize("trip_s", [0.005, 0.05, 0.2])
-def test_round_trip_is_found(trip_s):
+def test_the_round_trip_time_is_estimated(trip_s):
     line = conversation(0.0, trip_s, 3.0)
     assert line.trip_s == pytest.approx(trip_s, rel=0.1)
     assert line.answered > 0.99

@@ -123,7 +123,7 @@ def test_order_of_an_upload():
     assert [m.table for m in messages_in(packets)] == [4]
 
 
-def test_no_more_is_on_its_way_than_the_device_can_hold():
+def test_messages_in_flight_fit_into_the_buffer_of_the_device():
     """With a round trip of 0.2 s it takes 0.1 s until the first of them is there."""
     slow = connected().received(Packet(0, Pulse(0, 0)), 0.2)
     slow = replace(slow, line=replace(slow.line, trip_s=0.2, deviation_s=0.0, beats=()))
@@ -332,7 +332,7 @@ def test_packets_that_end_a_link(packet, failed):
     assert connected().received(packet, 0.01).failed == failed
 
 
-def test_silence_ends_a_link_later_where_the_way_is_long():
+def test_the_timeout_of_a_link_increases_with_its_round_trip_time():
     link = connected()
     assert not link.due(TIMEOUT_S - 1e-3)[0].failed
     silent = gone_report(NO_ANSWER, "device has been silent for 1 s")

@@ -26,7 +26,7 @@ def foreign(size: float, period: float = 0.1, knots: int = 16) -> PlateCycle:
     return PlateCycle.from_samples(period, pose)
 
 
-def test_rest():
+def test_a_plate_at_rest_has_a_table_of_zeros():
     table, scaled = prepare(RIG, PlateCycle.rest(0.05), 7)
     assert table.stamp_ns == 7
     assert scaled.factor == 1
@@ -60,7 +60,7 @@ def test_motors_that_spline_by_themselves_keep_the_limits_too(size):
         np.testing.assert_allclose(spline(t), ours, atol=2e-5)
 
 
-def test_the_last_look_does_not_trust_the_scaling(monkeypatch):
+def test_the_final_check_is_independent_of_the_scaling(monkeypatch):
     def wrong(rig, cycle, load):
         return replace(scale_to_limits(rig, cycle, load), cycle=cycle)
 

@@ -280,7 +280,7 @@ def test_a_plate_rests_before_the_driver_ends(driven):
     assert at_rest(driven.setpoints[-1])
 
 
-def test_a_foreign_cycle_is_faded_and_silence_lets_the_plate_rest(make, rig):
+def test_a_periodic_cycle_gets_fades_and_the_plate_rests_without_new_cycles(make, rig):
     driven = make("hold_cycles:=2")
     t = np.arange(24) * PERIOD / 24
     pose = 0.001 * np.column_stack([np.cos(2 * np.pi * t / PERIOD)] * 3)
@@ -404,7 +404,7 @@ def test_cycles_of_two_nodes_are_refused(driven):
     assert refused(driven) == "2 nodes publish plate_cycle, allowed: one"
 
 
-def test_in_simulated_time_silence_is_simulated_too(make):
+def test_timeouts_use_the_simulated_time(make):
     driven = make("hold_cycles:=2", "use_sim_time:=true")
     [received] = [
         each.callback for each in driven.node.subscriptions if each.topic_name == "/clock"
@@ -431,7 +431,7 @@ def change(driven: Driven, label: str) -> bool:
     return driven.call("change_state", transition(label)).success
 
 
-def test_lifecycle(make):
+def test_the_driver_follows_the_lifecycle(make):
     driven = make("autostart:=false", start=False)
     driven.pass_time(1.0)
     assert driven.texts == ["unconfigured"]
@@ -547,7 +547,7 @@ def test_a_stop_latches_in_every_state(driven):
     assert driven.texts[-1] == "ready"
 
 
-def test_a_sign_of_life_comes_twice_a_second(driven):
+def test_the_driver_status_is_published_twice_a_second(driven):
     driven.pass_time(3.0)
     times = [nanoseconds(msg.header.stamp) for msg in driven.published["driver_status"]]
     assert driven.clock.time_ns() - 600 * MS < times[-1]

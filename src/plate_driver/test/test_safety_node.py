@@ -119,7 +119,7 @@ def _desk(monkeypatch):
     desk.close()
 
 
-def test_a_stop_that_is_not_acknowledged_is_answered_and_goes_on_being_tried(desk):
+def test_an_unacknowledged_stop_gets_a_reply_and_is_repeated(desk):
     start_nodes(desk.node)
     desk.go_silent()
     answer = desk.call("emergency_stop")

@@ -44,7 +44,7 @@ def test_a_fine_table_stays_as_it_is():
     assert refined(table) == knots(table)
 
 
-def test_the_row_goes_on_with_the_newest_cycle_at_a_boundary():
+def test_the_stream_continues_with_the_newest_cycle_at_a_boundary():
     tables = [cycle(0.2, 9, seed) for seed in (2, 3)]
     first, second = (knots(table) for table in tables)
     stream, sent = SetpointStream.of(tables[0], 9).until(0.3)
@@ -106,7 +106,7 @@ def test_a_newer_cycle_restarts_the_count():
 @pytest.mark.parametrize("repeats", [1, 2, 9])
 @pytest.mark.parametrize("window_s", [0.03, 0.15, 0.7])
 @pytest.mark.parametrize("seed", range(3))
-def test_the_most_setpoints_in_a_window_are_those_of_the_stream(seed, window_s, repeats):
+def test_the_computed_maximum_number_of_setpoints_agrees_with_the_stream(seed, window_s, repeats):
     rng = np.random.default_rng(seed)
     t = 0.01 * np.append(0, np.sort(rng.choice(np.arange(1, 20), 7, replace=False)))
     states = 1e-3 * rng.normal(size=(3, 8, 3))

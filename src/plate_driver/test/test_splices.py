@@ -171,7 +171,7 @@ def test_the_tail_keeps_the_limits_too(pair):
         prepare(rig, short, 1, before=(first,))
 
 
-def test_a_tail_alone_is_no_cycle(pair):
+def test_a_tail_without_its_cycle_is_refused(pair):
     first, _ = pair
     with pytest.raises(CycleError, match="begins in motion and has no tail"):
         prepare(RIG, first.tail, 1, before=(first,))
@@ -185,7 +185,7 @@ def test_strange_tails_are_refused(pair, length):
         prepare(RIG, replace(first, tail=tail), 1)
 
 
-def test_the_last_look_sees_tail_splice_and_start(pair):
+def test_the_final_check_covers_tail_splice_and_start(pair):
     first, second = pair
     before, table = (prepare(RIG, c, 1, before=b)[0] for c, b in ((first, ()), (second, (first,))))
     start = before.q[KNOTS], before.qd[KNOTS]
@@ -308,7 +308,7 @@ def test_a_cycle_may_continue_an_earlier_table_because_the_last_one_may_have_com
         after.resting(10.2).accepted(spliced(rng, second), 9, 10.2)
 
 
-def test_motors_that_are_too_warm_end_in_a_scaled_cycle_from_rest_and_go_on(rng):
+def test_motors_that_are_too_warm_continue_with_a_scaled_cycle_from_rest(rng):
     """Cycles with twice the heat that motors bear for long: refused in motion once they are warm,
     then scaled from rest, and followed again as they have cooled."""
     loads = [np.max(usage(RIG, spliced(rng, spliced(rng))).thermal_load) for _ in range(50)]
@@ -522,7 +522,7 @@ def sampled(sent) -> np.ndarray:
     return np.concatenate([states(way, np.arange(0, times[-1], STEP)), given[-1:]])
 
 
-def test_a_stream_goes_on_in_motion_or_with_the_tail(pair):
+def test_a_stream_continues_in_motion_or_with_the_tail(pair):
     first, second = (
         prepare(RIG, c, 1, before=b)[0] for c, b in zip(pair, ((), (pair[0],)), strict=True)
     )
@@ -555,7 +555,7 @@ def test_a_short_stream_rests_until_the_device_accepts_its_length(rng, period):
     assert not any(any(k.velocity) or any(k.acceleration) for k in sent[-1:])
 
 
-def test_a_stream_that_has_sent_beyond_the_splice_takes_nothing_back(pair, rng):
+def test_a_stream_beyond_the_splice_refuses_a_continuation(pair, rng):
     first, second = (
         prepare(RIG, c, 1, before=b)[0] for c, b in zip(pair, ((), (pair[0],)), strict=True)
     )

@@ -14,7 +14,7 @@ def wild(size: float) -> PlateCycle:
     return PlateCycle.from_samples(0.1, pose)
 
 
-def test_counts():
+def test_accepted_scaled_and_refused_cycles_are_counted():
     gentle, large, larger = (scale_to_limits(RIG, wild(size)) for size in (1e-5, 0.01, 0.1))
     statistics = Statistics()
     for found in (gentle, large, larger, large):
@@ -46,7 +46,7 @@ def test_a_plate_rests_just_after_what_was_sent_is_over():
     assert later.over(10.9 + later.lasts_s + 1e-9)
 
 
-def test_a_plate_at_rest_rests_no_further():
+def test_a_plate_at_rest_has_no_end_of_motion():
     assert not Guard(RIG).over(1e9)
     guard, _ = Guard(RIG).commanded(wild(1e-5), 0, 10.0)
     assert not guard.resting(11.0).over(1e9)

@@ -103,7 +103,7 @@ def test_installed_transports_are_allowed():
 
 
 @pytest.mark.parametrize("name", ["can", ""])
-def test_others_are_not(name):
+def test_other_transports_are_refused(name):
     with pytest.raises(PlateError) as caught:
         check_transport(name, "")
     assert str(caught.value).startswith(f"transport is {name!r}, allowed: serial, sim")

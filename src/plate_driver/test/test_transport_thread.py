@@ -420,7 +420,9 @@ def test_an_unacknowledged_stop_is_reported_until_the_device_replies(active):
         (DriverState.STOPPED, "stopped: y", (), 0, None, True, Level.ERROR, "stopped: y"),
     ],
 )  # fmt: skip
-def test_levels(state, text, troubles, retries, idle_s, task, level, message):
+def test_the_diagnostics_level_follows_from_the_state(
+    state, text, troubles, retries, idle_s, task, level, message
+):
     status, statistics = DriverStatus(state, text=text), Statistics(problems=troubles)
     found = health(status, statistics, retries, idle_s, task)
     assert found == Finding(level, message)

@@ -149,7 +149,7 @@ def test_a_part_is_reported_only_at_rest_under_an_order_to_rest():
     assert cell.mode is FeedMode.REST
 
 
-def test_a_part_that_has_gone_when_the_plate_rests_is_not_reported():
+def test_a_part_removed_before_the_plate_rests_is_not_reported():
     cell = Cell(ready=("black_1",))
     cell.get()
     cell.run()
@@ -160,7 +160,7 @@ def test_a_part_that_has_gone_when_the_plate_rests_is_not_reported():
     assert cell.output.order.mode is FeedMode.FEED
 
 
-def test_a_status_of_an_earlier_rest_is_not_taken_for_one_of_this():
+def test_a_status_of_an_earlier_rest_does_not_count_for_the_present_rest():
     cell = Cell()
     cell.get()
     cell.answer()
@@ -187,7 +187,7 @@ def test_a_part_that_was_taken_is_not_reported_while_old_images_show_it():
     assert cell.t - since >= SEEN_AGAIN_S
 
 
-def test_a_part_whose_pick_has_failed_comes_again_but_not_for_ever():
+def test_a_part_whose_pick_failed_is_offered_again_a_limited_number_of_times():
     cell = Cell(ready=("black_1",))
     for count in range(MAX_FAILURES):
         assert cell.get() is None
@@ -248,7 +248,7 @@ def test_other_clients_are_refused_and_the_same_one_gives_its_part_up():
 
 
 @pytest.mark.parametrize("late", [False, True])
-def test_the_part_of_a_client_that_has_gone_is_reported_with_its_id(late):
+def test_the_part_of_a_disconnected_client_is_reported_with_its_id(late):
     """The robot may still stand over it, and comes back as another client."""
     cell = Cell()
     cell.get()
@@ -271,7 +271,7 @@ def test_the_part_of_a_client_that_has_gone_is_reported_with_its_id(late):
     assert feeder.get_part("back", now=cell.t) is None
 
 
-def test_the_part_of_a_client_that_has_gone_stays_reserved_until_its_time_is_over():
+def test_the_part_of_a_disconnected_client_stays_reserved_until_its_time_is_over():
     cell = Cell()
     cell.get()
     until = cell.answer().valid_until
@@ -310,7 +310,7 @@ def test_a_window_and_an_angle_of_a_command():
     assert cell.output.order.picks == (BLACK,)
 
 
-def test_parts_that_look_the_same_in_several_directions():
+def test_the_angle_tolerance_respects_the_symmetry_of_parts():
     rig = load_rig("shapes")
     pick = Pick("bar", 1, **WINDOW, angle=0.0, tolerance_rad=math.radians(5))
     assert rig.part_type("bar").symmetry == 2
@@ -381,7 +381,7 @@ def test_a_task_that_does_not_begin():
 
 
 @pytest.mark.parametrize("command", ["prepare_part", "get_part"])
-def test_a_task_that_does_not_begin_is_not_wanted_for_ever_by_a_client_that_does_not_wait(command):
+def test_a_client_without_a_wait_withdraws_a_task_that_does_not_begin(command):
     cell = Cell()
     cell.silent = True
     cell.do(command, now=cell.t)
@@ -465,7 +465,7 @@ def test_resume_without_a_stop_has_no_effect():
     assert cell.get() is None, "a technical failure needs no person"
 
 
-def test_counts_go_on_from_task_to_task():
+def test_counts_continue_from_task_to_task():
     cell = Cell()
     cell.get()
     cell.answer()

@@ -28,7 +28,7 @@ def test_a_motion_is_found_again(angle, count):
     assert math.remainder(part.angle - 0.5 - angle, 2 * math.pi) == pytest.approx(0.0, abs=1e-12)
 
 
-def test_no_other_motion_is_nearer():
+def test_the_fitted_motion_has_the_smallest_error():
     rng = np.random.default_rng(1)
     robot = moved(CORNERS, 0.7, 0.1, 0.2) + rng.normal(0, 2e-4, CORNERS.shape)
     found = fit_hand_eye("base", CORNERS, robot)

@@ -88,7 +88,7 @@ def test_replies_are_one_line_of_plain_text():
     assert answer_line(Code.DONE, "a\nb\r\n  c é") == b"200 a b c ?\r\n"
 
 
-def test_a_long_answer_is_cut_between_two_words():
+def test_a_long_reply_is_cut_between_two_words():
     counts = {f"a_type_of_part_{letter}": 12 for letter in "abcdefghijklmnop"}
     text = quantity_text(Quantity(counts, 2, 5, 1, 0))
     words = answer_line(Code.DONE, text).decode().split()
@@ -106,7 +106,7 @@ def test_a_part_in_millimetres_and_degrees():
     )
 
 
-def test_quantities():
+def test_a_quantity_is_formatted_as_one_line():
     text = quantity_text(Quantity({"black": 3, "grey": 1}, 2, 5, 1, 0))
     assert text == "seen=4 ready=2 taken=5 discharged=1 lost=0 black=3 grey=1"
 

@@ -254,7 +254,7 @@ def test_the_task_begins_with_a_request_whose_result_is_a_part(graph):
     assert not graph.call(PartTaken, "part_taken", taken=True).success
 
 
-def test_over_tcp(graph):
+def test_a_robot_gets_and_takes_a_part_over_tcp(graph):
     robot, other = graph.robot(), graph.robot()
     answer = graph.say(robot, "get_part black 20")
     assert answer.startswith("200 x=100.00 y=20.00 angle=5.73 id=black_3 class=black valid_s=")
@@ -399,7 +399,7 @@ ENDS = {  # of the planner's task, that of the feeder or another
 
 
 @pytest.mark.parametrize("end", ENDS)
-def test_after_a_person_has_ended_the_task_a_person_has_to_let_it_go_on(graph, end):
+def test_a_task_that_a_person_has_ended_continues_only_by_a_person(graph, end):
     planner = graph.planner
     planner.ready = {}
     robot = graph.robot()

@@ -139,7 +139,7 @@ def test_commands_wait_for_the_one_before_and_too_many_are_refused(stub, robot):
     assert [line[:4] for line in got[MAX_WAITING + 1 :]] == 2 * [b"429 "]
 
 
-def test_a_client_that_dies_while_it_waits_is_reported(stub):
+def test_a_client_that_disconnects_while_it_waits_is_reported(stub):
     robot = stub.connect()
     robot.send(b"get_part\n")
     until(lambda: stub.waiting)
@@ -169,7 +169,7 @@ def test_an_incomplete_line_is_refused_after_a_timeout(stub, robot, monkeypatch)
     assert robot.line() == b""
 
 
-def test_a_silent_client_stays_for_long_but_not_for_ever(stub, monkeypatch):
+def test_a_silent_client_is_disconnected_after_a_long_time(stub, monkeypatch):
     monkeypatch.setattr(module, "IDLE_S", 0.3)
     waiting, silent = stub.connect(), stub.connect()
     waiting.send(b"get_part\n")
@@ -179,7 +179,7 @@ def test_a_silent_client_stays_for_long_but_not_for_ever(stub, monkeypatch):
     assert waiting.line() == b"200 a part\r\n"
 
 
-def test_a_client_that_takes_no_answers_is_let_go(stub, monkeypatch):
+def test_a_client_that_reads_no_replies_is_disconnected(stub, monkeypatch):
     monkeypatch.setattr(module, "SENT_S", 0.3)
     robot = stub.connect()
     robot.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
@@ -191,7 +191,7 @@ def test_a_client_that_takes_no_answers_is_let_go(stub, monkeypatch):
     assert stub.disconnected
 
 
-def test_no_answer_of_the_feeder_is_an_answer_too(stub, robot, monkeypatch):
+def test_a_missing_reply_of_the_feeder_is_reported_to_the_robot(stub, robot, monkeypatch):
     monkeypatch.setattr(module, "ANSWER_S", 0.2)
     stub.mute = True
     assert robot.say("state").startswith(b"500 ")
@@ -203,7 +203,7 @@ def test_a_web_page_cannot_command(stub, robot):
     assert stub.commands == []
 
 
-def test_there_is_an_end_to_clients(stub):
+def test_the_number_of_clients_is_limited(stub):
     robots = [stub.connect() for _ in range(MAX_CLIENTS)]
     assert {robot.say("state") for robot in robots} == {b"200 state\r\n"}
     late = stub.connect()
@@ -214,7 +214,7 @@ def test_there_is_an_end_to_clients(stub):
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_garbage(stub, seed, monkeypatch):
+def test_random_bytes_get_one_reply_per_line_or_end_the_connection(stub, seed, monkeypatch):
     """Each line that is not empty is answered by one line, or the connection is closed."""
     monkeypatch.setattr(module, "LAST_S", LONG_S)
     stub.prompt = True

@@ -172,7 +172,7 @@ def test_a_plate_that_has_ended_restarts(gym):
     [("Corners12-v1", level) for level in ("motion", "cycle", "forces")] + [("Feed-v1", "motion")],
 )
 @pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
-def test_a_copy_goes_on_alike(gym, task, action, copied):
+def test_a_copied_environment_continues_identically(gym, task, action, copied):
     many = gym.PlateVectorEnv(task, 2, action=action, threads=2)
     many.reset(seed=3)
     many.step(many.action_space.sample())
@@ -184,7 +184,7 @@ def test_a_copy_goes_on_alike(gym, task, action, copied):
     assert task != "Feed-v1" or info["there"].any()
 
 
-def test_a_forked_process_goes_on(gym):
+def test_a_forked_process_continues(gym):
     many = gym.PlateVectorEnv("Sort4-v1", 2, action="forces", threads=2)
     many.reset(seed=0)
     still = np.zeros(many.action_space.shape)
@@ -263,7 +263,7 @@ def test_calls_before_reset_or_with_wrong_shapes_are_refused(gym):
             many.step(wrong)
 
 
-def test_rounding_is_forgiven(gym):
+def test_rounding_errors_of_actions_are_accepted(gym):
     env = gym.PlateEnv("Sort4-v1")
     env.reset(seed=0)
     above = np.nextafter(np.ones(18, np.float32), np.float32(2))
@@ -272,7 +272,7 @@ def test_rounding_is_forgiven(gym):
     assert np.array_equal(env.step(np.ones(18))[0], seen)
 
 
-def test_an_image_is_the_callers(gym):
+def test_changes_to_a_returned_image_have_no_effect(gym):
     """To write on it changes nothing, even if the next one is missed."""
     env = gym.PlateEnv("Sort4-v1", observation="image")
     seen = env.reset(seed=0)[0]
@@ -282,7 +282,7 @@ def test_an_image_is_the_callers(gym):
 
 
 @pytest.mark.parametrize("task", ["Sort4-v1", "Letters-v1"])
-def test_our_agent_does_what_the_loop_does(gym, task):
+def test_agent_b_computes_the_same_cycles_as_the_loop(gym, task):
     """The same images lead to the same motions, and these to the same places."""
     from plate_gym.agent import Brief
     from plate_gym.agents import AGENTS
@@ -429,7 +429,7 @@ def test_follow_succeeds_if_the_part_is_on_the_path(gym):
     assert info["error_m"][0] < 1e-9
 
 
-def test_references_wait_and_end_with_who_leaves_them(gym):
+def test_references_wait_for_a_slow_part_and_the_episode_fails_if_it_leaves(gym):
     """For a part that stays behind, at half of `max_error_m`: for ever."""
     env = gym.PlateEnv("Follow2-v1")
     env.reset(seed=0)
@@ -446,7 +446,7 @@ def test_references_wait_and_end_with_who_leaves_them(gym):
         assert (ended, bool(info["success"])) == (distance > 0.0303, False)
 
 
-def test_ours_follows_the_given_references(gym):
+def test_agent_b_follows_the_given_references(gym):
     from plate_gym.agent import Brief
     from plate_gym.agents import AGENTS
 
@@ -459,7 +459,7 @@ def test_ours_follows_the_given_references(gym):
     assert np.min(np.hypot(*(seen[:, :2] - seen[:, 6:8]).T)) > 3e-3  # at 40 mm/s
 
 
-def test_ours_feeds_as_fast_as_the_robot_takes(gym):
+def test_agent_b_feeds_parts_as_fast_as_the_robot_takes_them(gym):
     """An agent that does nothing feeds the parts that happen to be ready."""
     from plate_gym.agent import Brief
     from plate_gym.agents import AGENTS
@@ -653,7 +653,7 @@ def test_reported_cycles_cannot_be_changed(gym):
         info["running"].coefficients[:] *= 5
 
 
-def test_the_guide_is_right(capsys):
+def test_the_programs_and_tables_of_the_guide_are_correct(capsys):
     """The page's programs run, and its tables agree with the scenarios and the worlds."""
     from plate_gym.agent import KNOWN, Brief
     from plate_gym.tasks import TASKS, WORLDS, scenario_of

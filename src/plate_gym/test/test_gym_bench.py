@@ -60,7 +60,7 @@ def result():
     return json.loads(json.dumps(found))  # as a file has it
 
 
-def test_ours_sorts_and_is_the_same_again(bench, result):
+def test_agent_b_sorts_and_its_result_is_reproducible(bench, result):
     found = result["tasks"]["Sort4-v1"]
     assert found["success"] == 1
     assert found["success_interval"] == pytest.approx([0.342, 1], abs=1e-3)  # Wilson's, 2 of 2
@@ -143,7 +143,7 @@ def test_an_invalid_result_is_refused(bench, result, path, value, words):
     assert words in str(problem.value)
 
 
-def test_more_than_the_summary_is_noticed(bench, result, monkeypatch):
+def test_an_unknown_key_of_the_summary_is_reported(bench, result, monkeypatch):
     rows = {row["seed"]: row for row in result["tasks"]["Sort4-v1"]["rows"]}
     monkeypatch.setattr(bench, "episode", lambda agent, world, task, seed: rows[seed])
     changed = copy.deepcopy(result)
@@ -393,7 +393,7 @@ def test_an_agent_gets_copies_of_the_data(bench):
     assert brief.action_space is not env.action_space
 
 
-def test_an_agents_seed_makes_no_twin_of_its_world(bench, monkeypatch):
+def test_an_agent_cannot_reconstruct_its_world_from_its_seed(bench, monkeypatch):
     from plate_gym.agents import AGENTS, Random
     from plate_sim.world import Simulation
 
@@ -411,7 +411,7 @@ def test_an_agents_seed_makes_no_twin_of_its_world(bench, monkeypatch):
         bench.episode("twin", "nominal", "Sort4-v1", 0)
 
 
-def test_our_solver_is_time_of_a_decision(bench, module, monkeypatch):
+def test_the_solver_counts_as_decision_time(bench, module, monkeypatch):
     """Where the action asks it: by clocks that only its work moves on."""
     import plate_gym.episode
     import plate_gym.plates
@@ -705,7 +705,7 @@ def test_wrong_names_are_refused(bench, settings, words):
 
 
 @pytest.mark.parametrize("name", ["A", "averaged", "1998", "random"])
-def test_the_other_agents_act(bench, name):
+def test_all_other_agents_run(bench, name):
     from plate_gym import PlateEnv
     from plate_gym.agent import Brief
 

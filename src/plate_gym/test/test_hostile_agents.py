@@ -238,7 +238,7 @@ def test_a_reply_of_another_form_is_refused(bench, text):
     [("", r"no reply within 0\.1 s"), ("&", "it has ended")],
     ids=["runs", "dead"],
 )
-def test_signs_of_life_that_an_agent_sends_end(bench, tmp_path, monkeypatch, end, words):
+def test_the_wait_for_forged_signs_of_life_ends(bench, tmp_path, monkeypatch, end, words):
     """An agent can stop its supervisor and send these lines itself. The wait must still end."""
     program = tmp_path / "supervisor"
     program.write_text(f"#!/bin/sh\nfor k in $(seq 200); do echo .; sleep 0.1; done {end}\n")
@@ -317,7 +317,7 @@ def reply_of(bench, name, folder, code):
     return json.loads(reply)
 
 
-def test_signs_of_life_do_not_prolong_an_episode_for_ever(bench, hostile, tmp_path):
+def test_signs_of_life_do_not_extend_an_episode_beyond_its_limit(bench, hostile, tmp_path):
     """An agent that sends them itself."""
     code = "plate_gym.isolation.EPISODE_FACTOR = 0.2"
     reply = reply_of(bench, "Beats", tmp_path, code)

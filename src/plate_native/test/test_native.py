@@ -128,7 +128,7 @@ def test_a_file_that_is_edited_while_it_is_compiled_is_compiled_again(package, m
     assert build() == (["kernels.cpp"], 2)
 
 
-def test_the_oldest_entries_go(tmp_path, monkeypatch):
+def test_the_cache_deletes_its_oldest_entries(tmp_path, monkeypatch):
     monkeypatch.setattr(cache, "MAX_BYTES", 3 * 132)
     for number in range(4):
         cache.keep(tmp_path, str(number), bytes(100))
@@ -176,7 +176,7 @@ def test_nanobind_that_is_missing_is_named(package, monkeypatch):
 @pytest.mark.parametrize(
     "package", [path.parent.name for path in sorted(MESSAGES.parent.glob("*/*/kernels.cpp"))]
 )
-def test_no_product_is_fused_with_a_sum(package):
+def test_kernels_contain_no_fused_multiply_add(package):
     """GCC may do so in spite of its options; then numbers differ between processors."""
     module = importlib.util.find_spec(f"{package}._kernels").origin
     words = ["objdump", "-d", "--no-show-raw-insn", module]

@@ -57,7 +57,9 @@ def _program(tmp_path):
     ("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, -signal.SIGTERM)]
 )
 @pytest.mark.parametrize("disposition", [signal.SIG_DFL, signal.SIG_IGN])
-def test_a_signal_ends_it_in_silence_while_code_is_loaded(program, number, code, disposition):
+def test_a_signal_while_code_is_loaded_ends_the_program_without_output(
+    program, number, code, disposition
+):
     with program("node", "load", preexec_fn=lambda: signal.signal(number, disposition)) as node:
         assert node.stdout.readline() == "loading\n"
         node.send_signal(number)
@@ -79,7 +81,7 @@ def test_ctrl_c_before_its_first_line_waits_for_it(program, tmp_path):
     ("word", "code", "errors"),
     [(None, 0, ""), ("3", 3, ""), ("None", 0, ""), ("'a reason'", 1, "a reason\n")],
 )
-def test_it_ends_at_once_with_its_exit_code(program, word, code, errors):
+def test_a_program_ends_at_once_with_its_exit_code(program, word, code, errors):
     with program("node", *([word] if word else [])) as node:
         output = node.communicate(timeout=60)
     assert (node.returncode, *output) == (code, "loading\nruns\ntidied up\n", errors)

@@ -42,7 +42,7 @@ def test_wrong_friction_and_noise_are_no_reversed_axes(rng, options):
     assert after(rng, 20, (1, 1), **options).explained("why") == "why"
 
 
-def test_what_is_not_certain_is_not_compared(rng):
+def test_uncertain_displacements_are_not_compared(rng):
     for cycles, options in (
         (2, {}),  # too few displacements
         (20, {"length": 0.1e-3}),  # too short

@@ -73,7 +73,7 @@ def test_pieces_cover_the_requested_time():
     assert [p[3] - p[2] for p in cut.between(0.0, 0.29)] == pytest.approx([0.09, 0.2])
 
 
-def test_it_forgets_what_is_long_past():
+def test_the_log_drops_old_cycles():
     log = CycleLog().record_cycle(SHORT, 0.0)
     for k in range(1, 100):
         log = log.advance(0.1 * k)
@@ -115,7 +115,7 @@ def test_going_back_is_noticed():
     assert not clock.went_back(3.0)
 
 
-def test_reports_determine_the_running_cycle_wherever_images_are():
+def test_reports_determine_the_running_cycle_for_any_image_times():
     log = CycleLog().started(SHORT, 1.0).record_cycle(LONG, 1.05).advance(1.043)
     assert names(log) == [(1.0, "short")]
     # Until the next report the newest one follows at its end, else rest.
@@ -261,14 +261,14 @@ def test_a_cycle_that_has_begun_does_not_begin_again_without_its_report():
     assert not log.advance(1.35).runs[-1][1].moves
 
 
-def test_an_image_that_is_older_than_the_last_report_does_not_undo_it():
+def test_an_image_older_than_the_last_report_does_not_replace_it():
     log = reported((1.0, LEAVES), (1.1, LEAVES.tail), (1.15, SHORT))
     assert log.advance(1.1) == log
     assert log.advance(1.0).certain
     assert not log.advance(0.9).known  # time has restarted
 
 
-def test_a_tail_is_no_cycle_as_others():
+def test_a_tail_does_not_change_the_cycle_period():
     log = reported((1.0, LEAVES), (1.1, LEAVES.tail))
     assert log.period == pytest.approx(0.1)
     assert log.end == pytest.approx(1.15)
@@ -291,7 +291,7 @@ def test_a_cycle_is_known_again_in_spite_of_rounding():
 
 
 @pytest.mark.parametrize("tail_s", [1e-6, 1e9])
-def test_a_cycle_with_a_tail_that_no_driver_plays_is_not_believed(tail_s):
+def test_a_report_with_an_impossible_tail_is_ignored(tail_s):
     still, times = np.zeros((4, 3)), np.array([0.0, 0.1, 0.1, 0.1 + tail_s])
     odd = PlateCycle.from_knots(times, still, still, still)
     log = CycleLog().record_cycle(PlateCycle.rest(0.1), 0.0).advance(0.1)

@@ -38,7 +38,7 @@ def test_force_is_limited_to_friction():
     assert force == pytest.approx(np.array([[-limit, limit], [0.0, 0.0]]))
 
 
-def test_drift_of_their_own_is_subtracted():
+def test_the_bias_is_subtracted_from_the_requested_drift():
     bias = np.array([[0.001, -0.002]])
     drift = DriftInterval(np.array([[0.01, 0.0]]), np.array([[0.02, 0.0]])).less(bias)
     assert drift.low == pytest.approx(np.array([[0.009, 0.002]]))

@@ -94,7 +94,7 @@ def estimated(
 
 
 @pytest.mark.parametrize("age", [0.0, 0.05])
-def test_it_finds_friction_and_the_place_at_the_stamp(age):
+def test_the_filter_estimates_friction_and_the_position_at_the_stamp(age):
     friction = np.array([0.7, 0.9, 1.0, 1.3])
     errors, raw = [], []
     for estimator, truth in estimated(World(4, friction), 25, age, age):
@@ -128,7 +128,7 @@ def test_each_row_of_a_rolling_shutter_has_its_own_time():
 @pytest.mark.parametrize(
     ("age", "reported"), [(0.0, False), (0.013, False), (0.1, False), (0.05, True), (0.1, True)]
 )
-def test_it_finds_out_how_old_images_are(age, reported):
+def test_the_filter_estimates_the_age_of_images(age, reported):
     """Also where their stamps are those of cycles' starts, as a trigger's are."""
     errors = []
     for estimator, truth in estimated(World(4, 1.1), 32, age, given=None, starts_reported=reported):
@@ -150,7 +150,7 @@ def test_an_image_stamped_at_a_reported_start_is_not_old(late, found):
         assert estimator.parts.position == pytest.approx(world.place, abs=0.05e-3)
 
 
-def test_its_error_has_the_stated_size():
+def test_the_error_of_the_filter_agrees_with_its_covariance():
     square = []
     for seed in range(4):
         for k, (estimator, truth) in enumerate(estimated(World(4, 1.1, seed), 12)):
@@ -162,7 +162,7 @@ def test_its_error_has_the_stated_size():
     assert 0.05 < np.mean(square) < 1.2
 
 
-def test_it_knows_where_the_next_cycle_finds_the_parts():
+def test_the_filter_predicts_positions_at_the_next_cycle_start():
     world = World(3, [0.8, 1.0, 1.2])
     ahead, errors = None, []
     for estimator, truth in estimated(world, 20):
@@ -280,7 +280,7 @@ def test_the_bias_turns_with_the_path():
     assert bias.along(axes(0.4 + np.pi / 2, 2.0))[0] == pytest.approx([0.0, 0.01])
 
 
-def test_the_bias_is_no_more_than_it_may_be():
+def test_the_bias_is_bounded():
     bias = learnt(np.array([[5.0, 0.0], [0.0, -5.0]]), 40, 0.7)
     assert np.max(np.abs(bias.drift)) == pytest.approx(0.05)
 
@@ -367,7 +367,7 @@ def test_images_of_a_trigger_line_need_no_search_for_their_latency(phase, latenc
     assert estimator.hypotheses.latency == 0.0
 
 
-def test_a_camera_that_gets_slower_is_followed():
+def test_the_estimated_latency_follows_a_slower_camera():
     runs = run_free(30.0, 0.02, cycles=80, later=0.04)
     found = [estimator.hypotheses.latency for estimator, _ in runs]
     assert found[40] == pytest.approx(0.02, abs=2e-3)

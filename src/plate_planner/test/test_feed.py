@@ -89,7 +89,7 @@ def test_parts_outside_the_window_are_led_there_the_nearest_first():
     assert targets.low[0, 0] >= TASK.picks[0].low[0]
 
 
-def test_an_order_to_rest_is_kept_for_any_parts_on_the_plate():
+def test_an_order_to_rest_holds_for_all_part_positions():
     task = replace(TASK, order=FeedOrder(FeedMode.REST))
     crowd = parts(black_1=(0.0, 0.0), black_2=(0.017, 0.0))
     memory, found = run(task, *3 * [crowd])
@@ -98,7 +98,7 @@ def test_an_order_to_rest_is_kept_for_any_parts_on_the_plate():
     assert memory.report.mode is FeedMode.REST
 
 
-def test_it_is_not_at_rest_before_the_last_motion_has_ended():
+def test_the_plate_is_not_at_rest_before_the_last_motion_has_ended():
     rules, memory, at_rest = Feeder(TASK, RIG), None, []
     crowd = parts(black_1=(0.0, 0.0), black_2=(0.017, 0.0))
     memory, _ = rules.assess(memory, situation(crowd, 0.0))
@@ -147,7 +147,7 @@ def test_a_motion_that_rest_has_overtaken_may_still_begin_while_the_driver_stand
     assert _at_rest_while_a_motion_is_awaited(begins=4, count=8) == [k > 5 for k in range(8)]
 
 
-def test_a_motion_that_the_driver_has_refused_is_not_awaited_for_ever():
+def test_the_wait_for_a_refused_motion_ends():
     still = _at_rest_while_a_motion_is_awaited(begins=None, count=12)
     assert not any(still[:6])
     assert all(still[8:])
@@ -170,7 +170,7 @@ def _at_rest_while_a_motion_is_awaited(begins, count):
     return still
 
 
-def test_a_plate_whose_starts_are_reported_no_more_is_at_rest_again():
+def test_without_further_reports_the_plate_counts_as_resting():
     feed = Planner(RIG, replace(SCENARIO, task=replace(TASK, order=FeedOrder(FeedMode.REST))))
     state, rest = feed.start(feed.initial()), PlateCycle.rest(T)
     for k in range(25):
@@ -249,7 +249,7 @@ def test_a_purge_takes_all_of_them():
     ],
     ids=["chute", "chute, but wanted", "far side", "long side", "taken"],
 )
-def test_parts_that_are_gone_are_counted_by_the_side_where_they_were(name, place, discharged, lost):
+def test_removed_parts_are_counted_by_their_last_position(name, place, discharged, lost):
     before, after = parts(**LONE, **{name: place}), parts(**LONE)
     memory, _ = run(TASK, before, after)
     assert (memory.report.discharged, memory.report.lost) == (discharged, lost)
@@ -292,7 +292,7 @@ def test_parts_come_and_go_while_the_task_runs():
     assert progress.phase is Phase.RUNNING
 
 
-def test_the_planner_does_not_grow_with_the_parts_that_have_gone():
+def test_the_state_of_the_planner_does_not_grow_with_removed_parts():
     feed, sizes = Planner(RIG, SCENARIO), []
     state = feed.start(feed.initial())
     for k in range(1000, 1300):

@@ -41,7 +41,7 @@ def test_corners_are_met_on_time():
     )
 
 
-def test_it_rests_before_the_start_and_after_the_end():
+def test_a_path_rests_before_its_start_and_after_its_end():
     path = square(closed=False)
     assert path.duration == pytest.approx(15.0)
     for t, corner in ((-1.0, SQUARE[0]), (15.0 + 1e-9, SQUARE[-1]), (99.0, SQUARE[-1])):
@@ -130,7 +130,7 @@ def line(t):
 
 
 @pytest.mark.parametrize("kp", [0.3, 0.6, 0.9])
-def test_it_converges_from_an_offset(kp):
+def test_the_controller_converges_from_an_offset(kp):
     errors = closed_loop(still, (0.005, -0.003), 80, kp)
     assert np.max(np.abs(errors[-10:])) < 1e-6
 
@@ -145,7 +145,7 @@ def test_the_error_falls_by_the_gain_each_cycle():
     assert errors[2:] / errors[1:-1] == pytest.approx(np.full(10, 0.6), abs=1e-9)
 
 
-def test_it_follows_constant_speed_without_error():
+def test_the_controller_follows_constant_speed_without_error():
     errors = closed_loop(line, (0.0, 0.0), 100, kp=0.6)
     assert np.max(np.abs(errors)) < 1e-12
 
@@ -169,7 +169,7 @@ def test_the_requested_drift_is_bounded_in_magnitude_not_in_direction():
     assert expected == pytest.approx(np.array([[0.036, 0.048], [0.0, 0.005]]))
 
 
-def test_force_gives_back_the_wanted_interval():
+def test_the_force_reproduces_the_requested_interval():
     rng = np.random.default_rng(1)
     velocity = 0.01 * rng.normal(size=(5, 2))
     request = DriftInterval(np.full((5, 2), -0.01), np.full((5, 2), 0.03))
@@ -185,7 +185,7 @@ def test_force_gives_back_the_wanted_interval():
 
 
 @pytest.mark.parametrize("shuffle", [False, True])
-def test_it_follows_the_papers_rectangles(shuffle):
+def test_the_planner_follows_the_rectangles_of_the_paper(shuffle):
     scenario = load_scenario("follow_2")
     plant = Plant(scenario, shuffle=shuffle, seed=5)
     _, _, progress = run(Planner(RIG, scenario), plant)
@@ -196,7 +196,7 @@ def test_it_follows_the_papers_rectangles(shuffle):
     assert progress.rms_error_m < 1e-12  # a plant without error can be followed without error
 
 
-def test_it_follows_in_spite_of_disturbances():
+def test_the_planner_follows_paths_with_disturbances():
     scenario = load_scenario("follow_2")
     plant = Plant(scenario, disturbance=1e-3)
     options = PlannerOptions(follow=FollowOptions(kp=0.3))
@@ -218,7 +218,7 @@ def test_following_corrects_an_offset_at_the_start():
 
 
 @pytest.mark.parametrize("far", [0.006, 0.05])
-def test_parts_that_start_elsewhere_are_led_to_their_paths_first(far):
+def test_parts_away_from_their_paths_are_led_to_them_first(far):
     scenario = load_scenario("follow_2")
     plant = Plant(scenario)
     plant.position += [-far / 2, far]
@@ -337,7 +337,7 @@ class Weak(Plant):
         return np.clip(drift, -self.bound, self.bound)
 
 
-def test_the_observer_takes_away_what_friction_costs():
+def test_the_observer_compensates_for_weak_friction():
     errors = {}
     for gain in (0.0, 0.7):
         plant = Weak(load_scenario("follow_2"))
@@ -351,7 +351,7 @@ def test_the_observer_takes_away_what_friction_costs():
     assert errors[0.7] < 0.02 * errors[0.0]
 
 
-def test_it_slows_down_instead_of_failing_when_the_plate_cannot_give_so_much():
+def test_the_planner_slows_down_if_the_plate_cannot_reach_the_speed():
     plant = Weak(load_scenario("follow_2"))
     plant.bound = 0.014  # of the 40 mm/s that the paths are run at
     _, _, progress = run(Planner(RIG, plant.scenario), plant)
@@ -440,7 +440,7 @@ def test_errors_are_corrected_the_less_the_later_answers_begin(late):
     )
 
 
-def test_a_lack_that_does_not_pass_never_stops_the_references():
+def test_a_persistent_shortfall_does_not_stop_the_references():
     scenario = load_scenario("follow_2")
     plant, follower = Plant(scenario), Follower(scenario.task, RIG)
     memory = follower.begin(plant.seen(), 0.0)
@@ -457,7 +457,7 @@ def test_a_lack_that_does_not_pass_never_stops_the_references():
     assert follower.to_go(memory, 101 * T) < before
 
 
-def test_a_part_back_under_a_new_number_is_followed_on():
+def test_a_part_that_returns_with_a_new_id_continues_its_path():
     scenario = load_scenario("follow_2")
     plant, planner = Plant(scenario), Planner(RIG, scenario)
     state, _, _ = run(planner, plant, cycles=20)

@@ -53,7 +53,7 @@ def test_dropped_images_do_not_lead_it_astray(rate, scatter):
 
 
 @pytest.mark.parametrize("rate", [15.0, 30.0, 60.0, 120.0])
-def test_its_error_has_the_stated_size(rate):
+def test_the_error_of_the_frame_clock_agrees_with_its_deviation(rate):
     squares = []
     for seed in range(4):
         rng, clock, last = np.random.default_rng(seed), FrameClock(), -1.0
@@ -70,7 +70,7 @@ def test_true_stamps_stay_as_they_are():
     assert clock.rate == pytest.approx(30.0, rel=1e-4)
 
 
-def test_a_stamp_is_believed_until_frames_are_known_and_after_a_gap():
+def test_the_stamp_is_used_until_the_frame_interval_is_known_and_after_a_gap():
     clock = FrameClock()
     assert clock.rate == 0
     for k in range(ACQUIRE - 1):
@@ -91,7 +91,7 @@ def test_another_rate_is_found():
     assert clock.instant == pytest.approx(stamps[-1], abs=2e-3)
 
 
-def test_a_clock_of_frames_does_not_run_away():
+def test_the_frame_clock_does_not_diverge():
     """A camera with irregular times that drops every third image: its stamps stay accepted."""
     rng = np.random.default_rng(0)
     clock = FrameClock()

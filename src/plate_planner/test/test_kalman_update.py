@@ -50,7 +50,7 @@ def all_at_once(mean, covariance, seen):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_it_is_the_update_of_all_parts_and_the_stamp_together(seed):
+def test_the_update_equals_one_joint_update_of_all_parts_and_the_stamp(seed):
     mean, covariance, seen = parts(np.random.default_rng(seed))
     after, rest, innovations = kalman_update(mean, covariance, seen, JITTER)
     for a in range(len(mean)):

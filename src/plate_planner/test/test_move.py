@@ -65,7 +65,7 @@ def test_an_angle_is_requested_of_parts_that_have_one():
     assert list(angles.weight > 0) == [True, False]
 
 
-def test_it_is_done_when_all_targets_are_reached():
+def test_the_task_is_done_when_all_targets_are_reached():
     plant = Plant(SORT_4)
     planner = Planner(RIG, scenario(THERE, PartTarget("grey_2", (-0.1, 0.05))))
     _, _, progress = run(planner, plant)
@@ -74,7 +74,7 @@ def test_it_is_done_when_all_targets_are_reached():
     assert np.hypot(*(plant.position[plant.ids.index("black_1")] - THERE.place)) < 0.002
 
 
-def test_until_canceled_it_goes_on_when_all_have_come_and_when_none_comes_nearer():
+def test_a_move_task_continues_until_it_is_canceled():
     plant, planner = Plant(SORT_4), endless(THERE)
     state, _, progress = run(planner, plant, cycles=400)
     assert (progress.phase, progress.parts_sorted) == (Phase.RUNNING, 1)

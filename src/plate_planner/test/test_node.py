@@ -296,7 +296,7 @@ def test_parts_in_another_unit_than_metres_are_named(graph, unit, count):
     assert hint in task.text
 
 
-def test_a_planner_that_is_deactivated_ends_the_task_and_takes_no_goal(graph):
+def test_a_deactivated_planner_ends_the_task_and_refuses_goals(graph):
     graph = graph()
     handle = graph.begin()
     graph.planner.trigger_deactivate()
@@ -412,7 +412,7 @@ def test_motors_that_were_stopped_and_enabled_again_end_the_task(graph):
     assert task.text.endswith(": driver: the motors were stopped and enabled again")
 
 
-def test_a_driver_status_that_is_none_is_refused(graph):
+def test_a_driver_status_with_invalid_codes_is_refused(graph):
     graph = graph()
     graph.begin()
     for wrong in (DriverStatus(state=99), DriverStatus(state=DriverStatus.READY, reason=200)):
@@ -452,7 +452,7 @@ def test_without_parts_the_task_ends_without_any_image(silenced):
     silenced.until(lambda: silenced.report()[0] == DiagnosticStatus.STALE)
 
 
-def test_the_same_image_again_and_again_is_no_news(silenced):
+def test_a_repeated_image_counts_as_no_new_parts(silenced):
     for _ in range(20):
         silenced.parts.publish(parts_to_msg(Parts.make(IDS, APART), to_time(200_000_000)))
         silenced.executor.spin_for(STEP_S)
@@ -488,7 +488,7 @@ def test_diagnostics_of_other_plates_and_packages_do_not_end_the_task(silenced, 
     assert "driver" not in silenced.planner._monitor.inputs.reports
 
 
-def test_a_feed_goes_on_without_orders_but_not_without_a_feeder_that_gave_some(graph):
+def test_a_feed_continues_without_a_feeder_but_not_after_the_loss_of_one(graph):
     graph, images = graph(), itertools.count(3)
     orders = graph.probe.create_publisher(FeedOrder, "feed_orders", DATA)
     graph.until(orders.get_subscription_count)
@@ -555,7 +555,7 @@ def test_an_order_of_a_second_publisher_is_not_executed(graph, monkeypatch):
     assert modes == {FeedOrder.REST}
 
 
-def test_forces_are_drawn_for_those_who_look(graph):
+def test_forces_are_drawn_if_there_are_subscribers(graph):
     graph, drawn = graph(), []
     graph.probe.create_subscription(MarkerArray, "markers", drawn.append, DATA)
     graph.until(lambda: graph.planner._markers.get_subscription_count())

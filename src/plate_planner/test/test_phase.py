@@ -49,7 +49,7 @@ def test_time_begins_with_the_first_image_that_shows_all_parts():
     assert (state.active, state.began, state.elapsed(9.0)) == (True, 7.5, 1.5)
 
 
-def test_it_gives_up_waiting_for_parts():
+def test_a_task_ends_if_parts_stay_missing():
     waiting = run((5.0, GONE, False), state=started())
     assert run((8.0, GONE, False), state=waiting).phase is Phase.RUNNING
     state = run((8.0 + EPS, ("2 of 5 black parts", "grey_1"), False), state=waiting)
@@ -57,7 +57,7 @@ def test_it_gives_up_waiting_for_parts():
     assert state.text == why + CHECK_IMAGE
 
 
-def test_it_gives_up_waiting_for_the_same_parts_again():
+def test_a_task_ends_if_the_same_parts_go_missing_again():
     waiting = begin(started(), 5.0, (), False, LIMITS)
     assert not waiting.active
     assert begin(waiting, 8.0, (), False, LIMITS).phase is Phase.RUNNING

@@ -19,7 +19,7 @@ SWING = np.outer(np.sin(np.linspace(0, np.pi, 16, endpoint=False)) ** 4, [1e-3, 
 
 
 @pytest.mark.parametrize("name", ["sort_4", "sort_6", "sort_8", "sort_10"])
-def test_it_sorts(name):
+def test_the_planner_sorts_parts(name):
     scenario = load_scenario(name)
     plant = Plant(scenario, seed=1, disturbance=2e-3)
     planner = Planner(RIG, scenario)
@@ -103,7 +103,7 @@ def test_a_lost_part_is_reported_at_its_last_detection_and_not_at_a_later_predic
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_it_assembles(seed):
+def test_the_planner_assembles_parts(seed):
     scenario = load_scenario("assemble_8")
     plant = Plant(scenario, seed=seed, disturbance=1e-3)
     _, request, progress = run(Planner(RIG, scenario), plant)
@@ -143,7 +143,7 @@ BINS = {
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_it_sorts_into_bins(seed):
+def test_the_planner_sorts_parts_into_bins(seed):
     task = SortTask(BINS, goal_fraction=0.0, hold_s=0.5)
     scenario = replace(load_scenario("sort_8"), task=task)
     plant = Plant(scenario, seed=seed, disturbance=1e-3)
@@ -156,7 +156,7 @@ def test_it_sorts_into_bins(seed):
     assert np.all((y > -0.12) & (y < -0.12 + height))
 
 
-def test_it_sorts_into_corners():
+def test_the_planner_sorts_parts_into_corners():
     corners = {"black": Side(-1, 1), "grey": Side(0, -1)}
     scenario = replace(load_scenario("sort_8"), task=SortTask(corners, 0.4, 0.5))
     plant = Plant(scenario, seed=4, disturbance=1e-3)
@@ -222,7 +222,7 @@ def test_parts_that_never_come_are_named():
     assert progress.text.endswith("detections_image")
 
 
-def test_a_part_put_back_on_the_plate_is_seen_there_again():
+def test_a_part_that_is_placed_on_the_plate_again_is_detected():
     planner = Planner(RIG, load_scenario("sort_4"))
 
     def seen(before, x, t):
@@ -238,7 +238,7 @@ def test_a_part_put_back_on_the_plate_is_seen_there_again():
 
 @pytest.mark.parametrize("name", ["sort_4", "follow_2"])
 @pytest.mark.parametrize("fallen", [False, True])
-def test_a_lost_part_is_named_and_the_others_go_on_meanwhile(name, fallen):
+def test_a_lost_part_is_named_while_the_others_continue(name, fallen):
     scenario = load_scenario(name)
     plant, planner = Plant(scenario), Planner(RIG, scenario)
     state, _, _ = run(planner, plant, cycles=5)
@@ -260,7 +260,7 @@ def test_a_lost_part_is_named_and_the_others_go_on_meanwhile(name, fallen):
     assert len(request.parts) == 0
 
 
-def test_no_part_at_all_is_answered_with_nothing():
+def test_without_parts_the_request_is_empty():
     scenario = load_scenario("sort_4")
     plant, planner = Plant(scenario), Planner(RIG, scenario)
     state, _, _ = run(planner, plant, cycles=5)
@@ -366,7 +366,7 @@ def test_the_time_limit_counts_from_when_all_parts_were_seen():
     assert progress.time_s == pytest.approx(2.1)
 
 
-def test_forces_are_bounded_however_wild_the_measured_drift():
+def test_forces_are_bounded_for_any_measured_drift():
     scenario = load_scenario("sort_4")
     plant, planner = Plant(scenario), Planner(RIG, scenario)
     parts = replace(plant.seen(), velocity=np.full((4, 2), 5.0))

@@ -50,7 +50,7 @@ def test_a_part_turns_to_the_nearest_angle_at_which_it_looks_the_same():
 
 
 @pytest.mark.parametrize("gain", [0.6, 1.0, 1.3])
-def test_it_gets_there_where_the_plate_gives_less_or_more(gain):
+def test_poses_are_reached_with_too_small_and_too_large_gains(gain):
     poses = (Pose("black", (0.1, -0.05), np.radians(135)), Pose("black", None, np.radians(-90)))
     poser = Poser(task(*poses), RIG)
     seen = parts([[0.06, 0.0], [-0.1, 0.0]], [-2.0, 2.9])

@@ -36,7 +36,7 @@ def test_parts_are_to_come_a_little_beyond_their_lines():
     assert to.gap_m > 0
 
 
-def test_the_part_with_the_longest_way_has_the_same_weight_times_way_whatever_it_is():
+def test_the_weight_of_the_farthest_part_is_inversely_proportional_to_its_distance():
     for x in (-0.9, -0.2, 0.3, 0.5):
         to = targets_of(("grey_1", "grey_2"), [(x, 0.0), (0.58, 0.0)])
         way = LINE[0] - x * HALF[0]
@@ -80,7 +80,7 @@ def test_parts_for_opposite_corners_go_in_lanes_and_then_on_to_their_corners(up)
     assert np.where(up > 0, to.low[:, 1], to.high[:, 1]) == pytest.approx(up * LINE[1])
 
 
-def test_the_hand_of_the_swirl_is_the_nearer_one_and_changes_only_for_a_reason():
+def test_the_swirl_has_the_nearer_direction_and_rarely_changes_it():
     def parts(*heights):
         return Parts.make(("grey_1", "black_1"), fractions((-0.5, heights[0]), (0.5, heights[1])))
 
@@ -252,6 +252,6 @@ def test_a_corner_too_small_for_its_parts_is_refused():
             Sorter(task, RIG).check(crowded)
 
 
-def test_no_parts_no_request():
+def test_without_parts_there_is_no_request():
     request = SORTER.request(Parts.make((), np.zeros((0, 2))), 1.0)
     assert request.low.shape == request.high.shape == (0, 2)

@@ -56,13 +56,13 @@ def test_a_part_takes_only_a_target_of_its_class():
     assert match_targets(["black", "red"], target, parts) == ("black_1", "")
 
 
-def test_nobody_to_match():
+def test_without_parts_no_target_is_matched():
     empty = Parts.make((), np.zeros((0, 2)))
     assert match_targets(["black"], np.zeros((1, 2)), empty) == ("",)
     assert match_targets([], np.zeros((0, 2)), empty) == ()
 
 
-def test_a_part_back_under_a_new_number_takes_its_target_again():
+def test_a_part_that_returns_with_a_new_id_gets_its_target_again():
     match, labels = ("black_1", "black_2"), ["black", "black"]
     target = np.array([[0.0, 0.0], [0.1, 0.0]])
     parts = Parts.make(("black_1", "black_7"), np.array([[0.0, 0.0], [0.105, 0.0]]))

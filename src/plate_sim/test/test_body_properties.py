@@ -65,7 +65,7 @@ def waves(seed, size, mirror=False, turn=0.0, period=0.05):
     return harmonic.waves(period, sine @ q.T, cosine @ q.T, 128)
 
 
-def test_the_scenes_below_are_not_empty():
+def test_the_tested_scenes_contain_contacts():
     met = 0
     for seed in range(40):
         parts = [SHAPES[seed % 6], SHAPES[seed // 6 % 6]]
@@ -126,7 +126,7 @@ def test_any_finite_scene_stays_finite(scene, mu, size, lean, far):
 
 @few
 @given(scenes, st.permutations(range(4)))
-def test_names_do_not_matter(scene, order):
+def test_the_order_of_bodies_does_not_change_their_motion(scene, order):
     kinds, seed, bounce, rub = scene
     order = [i for i in order if i < len(kinds)]
     position, angle, speed, spin = state(kinds, seed)
@@ -155,7 +155,7 @@ def mirrored(part: Footprint) -> Footprint:
 @few
 @given(scenes, st.floats(-3, 3), st.booleans())
 @example(([4, 2], 66660, 1.0, 1.0), 0.0, True)
-def test_turned_and_mirrored_rooms_are_alike(scene, turn, mirror):
+def test_rotated_and_mirrored_scenes_have_rotated_and_mirrored_motions(scene, turn, mirror):
     kinds, seed, bounce, rub = scene
     kinds = kinds[:2]  # which meet once: more would magnify rounding
     position, angle, speed, spin = state(kinds, seed)

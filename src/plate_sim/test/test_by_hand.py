@@ -22,7 +22,7 @@ def world(disturbances=NONE, rig=RIG, scenario="sort_4", seed=3):
     return Simulation(rig, load_scenario(scenario), seed, disturbances)
 
 
-def test_a_part_that_is_moved_lies_there_at_rest_and_the_others_stay():
+def test_a_moved_part_is_at_rest_at_its_new_place_and_the_others_stay():
     simulation = world()
     before = simulation.state
     simulation.state = replace(before, velocity=np.full((4, 2), 0.01), spin=np.ones(4))
@@ -102,7 +102,7 @@ def test_a_part_that_cannot_be_placed_is_refused(what, words):
     assert simulation.state is before
 
 
-def test_no_more_parts_than_are_allowed_and_none_that_is_not_there_is_taken_off():
+def test_surplus_parts_and_the_removal_of_missing_parts_are_refused():
     simulation = world()
     with pytest.raises(PlateError, match=r"id is 'grey_7' \(did you mean"):
         simulation.remove("grey_7")

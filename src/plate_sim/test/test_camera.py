@@ -39,7 +39,7 @@ def test_centroids_are_where_the_parts_are():
         assert np.abs(centre - point).max() < 0.03
 
 
-def test_areas_are_right():
+def test_rendered_areas_are_correct():
     empty = render(np.zeros((0, 2)), [])
     for shift in (0.0, 3e-4, 5e-4):
         position = np.array([[shift, shift / 2]])
@@ -49,7 +49,7 @@ def test_areas_are_right():
         assert weight / (220 - 40) == pytest.approx(np.pi * (0.008 * SCALE) ** 2, rel=0.02)
 
 
-def test_there_are_two_greys_a_plate_and_a_room():
+def test_parts_plate_and_background_have_their_grey_levels():
     position = np.array([[-0.05, 0.0], [0.05, 0.0]])
     image = render(position, ["black", "grey"])
     (u1, v1), (u2, v2) = np.round(project(homography(RIG), position)).astype(int)

@@ -150,7 +150,7 @@ def test_pieces_side_by_side_have_no_seam():
     assert np.ptp(image[v, u]) <= 2
 
 
-def test_a_hole_shows_the_plate():
+def test_the_plate_is_visible_through_a_hole():
     camera, position = Camera(load_rig(), 0.0), np.array([[0.013, 0.021]])
     turn = 2 * np.pi * np.arange(12) / 12
     hole = tuple(zip(0.006 * np.cos(turn), 0.006 * np.sin(turn), strict=True))

@@ -11,7 +11,7 @@ RIG = load_rig()
 REST = PlateCycle.rest(0.1)
 
 
-def test_a_good_table_is_taken_and_measured():
+def test_a_correct_table_is_accepted_and_its_peaks_are_measured():
     peaks = check_table(RIG, bump(1e-3), REST)
     assert peaks.stroke_m == pytest.approx(1e-3, rel=0.02)
     check_table(RIG, PlateCycle.rest(0.1), REST)
@@ -60,7 +60,7 @@ def test_the_tail_keeps_the_limits_too():
 
 
 @pytest.mark.parametrize("tail_s", [2e-9, 1e6])
-def test_a_tail_of_no_sane_length_is_refused(tail_s):
+def test_a_tail_of_an_impossible_length_is_refused(tail_s):
     still, times = np.zeros((4, 3)), np.array([0.0, 0.1, 0.1, 0.1 + tail_s])
     with pytest.raises(CycleError, match=r"tail is .* allowed: 0\.01 to 10 s"):
         check_table(RIG, PlateCycle.from_knots(times, still, still, still), REST)

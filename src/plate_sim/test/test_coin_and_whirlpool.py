@@ -193,7 +193,7 @@ def test_whirlpool_rotates_a_disc_clockwise_in_place_as_averages_predict():
     assert drift == pytest.approx(np.diff(truth[:2].T, axis=0), abs=1.5e-3)
 
 
-def test_whirlpool_turns_a_bar_too():
+def test_a_whirlpool_also_rotates_a_bar():
     run = simulate_bodies(
         strokes(0.02), bar(0.08, 0.01), [PLACE], 0, [[0, 0]], 0, MU, cycles=100, samples=8
     )

@@ -40,7 +40,7 @@ def deepest_overlap(path):
     return 2 * RADIUS - np.min(np.linalg.norm(path[:, i] - path[:, j], axis=2))
 
 
-def test_head_on_discs_stop_each_other_and_go_on_together():
+def test_after_a_head_on_collision_discs_move_together():
     state = discs([[-0.02, 0], [0.02, 0]], [[0.3, 0], [-0.1, 0]])
     end, run = record_cycle(state, PlateCycle.rest(0.2), RIG, mu=SMOOTH)
     assert deepest_overlap(run.position) < 1e-12
@@ -48,7 +48,7 @@ def test_head_on_discs_stop_each_other_and_go_on_together():
     assert np.sum(end.position, axis=0) == pytest.approx([0.04, 0])
 
 
-def test_rims_do_not_rub():
+def test_discs_without_contact_friction_keep_their_tangential_velocity():
     state = discs([[-0.02, 0.005], [0.02, -0.005]], [[0.3, 0.0], [-0.3, 0.0]])
     end, _ = record_cycle(state, PlateCycle.rest(0.1), RIG, mu=SMOOTH)
     assert np.sum(end.velocity, axis=0) == pytest.approx(0, abs=1e-12)
@@ -234,7 +234,7 @@ def test_mirrored_scenes_stay_mirrored(sign):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_full_tray_stays_in_its_walls_and_apart(seed):
+def test_a_full_tray_of_parts_stays_within_the_walls_without_overlap(seed):
     rng = np.random.default_rng(seed)
     state = crowd(150, rng)
     contacts = Contacts(0.5, 0.3, walls=True)
@@ -283,7 +283,7 @@ def test_parts_are_refused_that_cannot_be_run():
         simulate_bodies(rest, disc(RADIUS), position, 0, still, 0, 0.2, step=0, **rims)
 
 
-def test_the_end_alone_is_the_end_of_the_run():
+def test_without_samples_the_final_state_is_the_same():
     state = crowd(20, np.random.default_rng(0))
     cycle = shaken(np.random.default_rng(1))
     run, end = (

@@ -240,7 +240,7 @@ def test_reset_forgets_all_and_the_plate_glides_home():
     assert host.state is State.READY
 
 
-def test_brown_out_stops_until_somebody_enables():
+def test_a_brown_out_stops_the_motors_until_an_enable():
     host = Host(replace(FaultSchedule(), brown_out_every=1.5))
     host.begin()
     assert host.state is State.READY
@@ -254,7 +254,7 @@ def test_brown_out_stops_until_somebody_enables():
     assert any(isinstance(m, Telemetry) and m.faults & Fault.SUPPLY for m in host.messages)
 
 
-def test_a_plate_that_jams_is_a_fault():
+def test_a_jammed_plate_causes_a_fault():
     host = Host()
     host.begin()
     host.upload(shaking(0.003), 1)

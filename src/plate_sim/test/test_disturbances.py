@@ -40,7 +40,7 @@ def test_both_tilts_together_are_a_tilt_too():
         Disturbances(tilt_x=0.4, tilt_y=0.4)
 
 
-def test_a_clean_world_is_the_rigs():
+def test_a_world_without_disturbances_has_the_friction_of_the_rig():
     assert NONE.summary == "none"
     assert Disturbances(latency=0.05, blur=False).summary == "latency 0.05, blur False"
     field = FrictionField.draw(NONE, 4, np.random.default_rng(0))

@@ -73,7 +73,7 @@ def test_a_heap_is_dense_and_its_parts_do_not_overlap(scenario, seed):
     run(simulation, 3, shaking())  # an overlap would be refused
 
 
-def test_a_few_parts_come_to_lie_within_the_spread():
+def test_dropped_parts_lie_within_the_spread_of_the_hopper():
     position = []
     for seed in range(60):
         simulation = world(seed=seed, parts=False)
@@ -122,7 +122,7 @@ def test_times_of_drops_do_not_depend_on_how_time_is_cut():
     assert (flow.left_s, flow.waited_s) == pytest.approx((whole.left_s, whole.waited_s))
 
 
-def test_a_part_that_drops_in_mid_cycle_moves_from_then_on_and_the_others_as_ever():
+def test_a_part_dropped_during_a_cycle_moves_and_does_not_change_the_other_motions():
     period, seed = 0.1, 4
     alone, fed = (world(seed=seed, rate=10 / 0.7) for _ in range(2))
     fed.open_hopper(0.08)  # at 0.07 s
@@ -255,7 +255,7 @@ def test_the_robot_hides_what_is_below_it_and_nothing_else(scenario):
     assert np.array_equal(simulation.capture(), before)
 
 
-def test_noise_lies_on_the_robot_too():
+def test_the_image_of_the_robot_contains_noise():
     simulation = world(noise=3.0)
     simulation.move_robot(Move.OVER, 0.1, 0.0)
     places = simulation._view._camera._places - [0.1, 0.0]

@@ -143,7 +143,7 @@ def test_result_holds_the_start_and_every_step():
         ({"samples": 0}, "samples is 0"),
     ],
 )
-def test_misuse_is_refused(change, message):
+def test_wrong_arguments_of_simulate_are_refused(change, message):
     arguments = {"position": np.zeros((2, 2)), "velocity": np.zeros((2, 2)), "friction": MU}
     with pytest.raises(PlateError, match=message):
         simulate(PlateCycle.rest(0.1), **(arguments | change))

@@ -96,7 +96,7 @@ def test_a_part_rides_where_its_weight_is_least(heave):
 
 
 @pytest.mark.parametrize("name", ["slope", "heave"])
-def test_next_to_nothing_of_either_changes_next_to_nothing(name):
+def test_tiny_values_of_both_effects_change_the_motion_little(name):
     """Discs are then moved one by one, not together: by the same law."""
     cycle = shaken(30)
     with_it, without = (

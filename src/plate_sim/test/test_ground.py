@@ -184,7 +184,7 @@ def test_a_part_without_friction_falls_down_the_tilt():
         assert run.velocity[-1, 0] == pytest.approx([0.3, 0] + 0.2 * pull, abs=1e-14)
 
 
-def test_motion_in_one_direction_for_a_while_is_not_taken_for_a_line():
+def test_a_temporary_motion_in_one_direction_is_not_treated_as_a_line():
     # The plate speeds up along x, and only later along y.
     times = np.array([0.0, 0.05, 0.1])
     pieces = np.zeros((2, 6, 3))

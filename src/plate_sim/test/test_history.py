@@ -38,7 +38,7 @@ def test_even_acceleration_is_met_exactly_at_any_age():
     assert past.ago(-0.01).position[0] == pytest.approx([0.04 + 0.01 * 0.4, 0])
 
 
-def test_no_more_is_kept_than_requested():
+def test_the_history_keeps_only_the_requested_time():
     past = History()
     for k in range(10):
         past = past.after(passage((float(k), 0.0)), 0.25)
@@ -63,7 +63,7 @@ def test_a_shaken_part_is_where_the_exact_integrator_has_it(age):
     assert view.pose == pytest.approx(cycle.pose(0.1 - age)[0], abs=1e-12)
 
 
-def test_a_part_is_there_until_it_falls():
+def test_a_part_is_on_the_plate_until_it_falls():
     start = WorldState.at_rest(("black_1",), [[RIG.plate.half[0] - 0.01, 0]])
     start.velocity[0, 0] = 0.5
     cycle = PlateCycle.rest(0.1)

@@ -69,7 +69,7 @@ def test_samples_lie_on_one_motion():
 
 
 @pytest.mark.parametrize("turning", [0.0, 0.02])
-def test_a_motion_too_restless_is_finished_and_reported(turning):
+def test_a_motion_with_too_many_events_is_finished_and_reported(turning):
     # The plate jumps to and fro at every one of 120 000 knots; the part cannot follow.
     count, period = 120_000, 1.0
     pose = np.zeros((count, 3))

@@ -200,7 +200,7 @@ def test_a_part_beyond_the_edge_leaves_the_plate():
     assert np.array_equal(states[0], record[-1])
 
 
-def test_names_do_not_matter_for_a_crowd():
+def test_the_order_of_bodies_does_not_change_the_motion_of_a_crowd():
     rng = np.random.default_rng(6)
     position, angle = scattered(10, L_SHAPE.reach, rng), rng.uniform(0, 6, 10)
     parts = [L_SHAPE, disc(0.02), bar(0.03, 0.01)] * 3 + [disc(0.01)]

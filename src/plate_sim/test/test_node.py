@@ -164,7 +164,7 @@ def missed_run(seed, count=8):
         return loop.stamps[:count], values
 
 
-def test_lockstep_goes_on_where_an_image_is_missed_as_real_time_does():
+def test_lockstep_continues_after_a_missed_image_as_real_time_does():
     stamps, values = missed_run(seed=4)
     # A cycle takes 50 ms where a table is played or held, 100 ms where the plate rests.
     steps = np.diff(stamps) // 50_000_000
@@ -420,7 +420,7 @@ def test_diagnostics_report_timeouts_and_refusals():
         wait_for(loop, DiagnosticStatus.STALE, "no motor table for ")
 
 
-def test_real_time_goes_on_without_answers():
+def test_real_time_continues_without_results():
     with Loop(idle_period=0.02) as loop:
         assert loop.spin(lambda: len(loop.images) >= 5)
         assert set(np.diff(loop.stamps)) == {20_000_000}

@@ -247,7 +247,7 @@ def test_no_input_gives_nan_or_stalls():
         ({"tolerance": 0}, "tolerance is 0"),
     ],
 )
-def test_misuse_is_refused(change, message):
+def test_wrong_arguments_of_simulate_are_refused(change, message):
     arguments = {
         "cycle": PlateCycle.rest(0.1), "position": np.zeros((2, 2)), "velocity": np.zeros((2, 2)),
         "friction": MU,

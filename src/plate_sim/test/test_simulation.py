@@ -53,7 +53,7 @@ def test_plates_simulated_together_equal_single_plates():
                     assert np.array_equal(getattr(one.state, field), getattr(other.state, field))
 
 
-def test_a_sight_is_what_an_image_shows():
+def test_visible_parts_agree_with_the_image():
     """The same parts are hidden, the same false ones there, as late."""
     world = Disturbances(missed_parts=0.3, false_parts=0.3, latency=0.05, blur=False)
     drawn, reported = (Simulation(RIG, SORT_4, 3, world, noise=0.0) for _ in range(2))
@@ -178,7 +178,7 @@ def test_false_parts_are_drawn_with_the_requested_probability():
     assert np.mean(extra) / area - 4 == pytest.approx(2.0, abs=0.35)
 
 
-def test_a_seed_is_a_world_and_dirt_of_one_kind_leaves_the_others_alone():
+def test_a_disturbance_does_not_change_the_random_numbers_of_the_others():
     def end(seed, **disturbances):
         simulation = Simulation(
             RIG, SORT_4, seed, Disturbances(friction_spread=0.1, **disturbances)

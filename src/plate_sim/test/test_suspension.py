@@ -156,7 +156,7 @@ def test_a_drive_that_knows_the_plate_moves_it_as_commanded(changes):
         np.testing.assert_allclose(motion.accel(t), cycle.accel(t), rtol=0, atol=1e-10)
 
 
-def test_motors_alike_but_weak_scale_the_motion():
+def test_equal_but_weak_motors_scale_the_motion():
     """The drive's forces are correct except for one factor, and the system is linear."""
     weak = rig(feedforward=BY_HEART, motor_gain=(0.9,) * 4)
     motion, _ = realise(weak, PlateState.at_rest(), wild())
@@ -350,6 +350,6 @@ def test_a_plate_that_is_not_held_is_refused(changes, message):
         ((np.zeros(3), np.zeros(3), [0, 0, 0, np.inf]), "plate's force is .*, allowed: 4 finite"),
     ],
 )
-def test_a_state_that_is_none_is_refused(values, message):
+def test_an_invalid_state_is_refused(values, message):
     with pytest.raises(PlateError, match=message):
         PlateState(*values)

@@ -19,7 +19,7 @@ def shaking():
     return PlateCycle.from_samples(0.1, 1e-3 * rng.normal(size=(12, 3)) * [1, 1, 4])
 
 
-def test_a_part_that_slides_off_is_gone_and_counted():
+def test_a_part_that_slides_off_is_removed_and_counted():
     state = WorldState.at_rest(("black_1", "grey_1"), [[HALF[0] - 0.01, 0], [0, 0]])
     state = replace(state, velocity=np.array([[0.5, 0], [0, 0]]))
     end = run_cycle(state, PlateCycle.rest(0.1), RIG)
@@ -32,7 +32,7 @@ def test_a_part_that_slides_off_is_gone_and_counted():
     assert not np.array_equal(later.position[1], end.position[1])
 
 
-def test_a_part_that_is_gone_stops_nobody():
+def test_a_lost_part_is_no_obstacle():
     state = WorldState.at_rest(("black_1", "black_2"), [[0, 0], [0.03, 0]])
     state = replace(state, velocity=np.array([[0.5, 0], [0, 0]]), on_plate=np.array([True, False]))
     end = run_cycle(state, PlateCycle.rest(0.1), RIG, mu=0.0)

@@ -69,7 +69,7 @@ def test_parts_run_with_right_arguments():
         ("half", np.ones(1)),
     ],
 )
-def test_a_run_of_parts_refuses(name, wrong):
+def test_the_simulation_of_parts_refuses_wrong_arrays(name, wrong):
     """Before any plate has begun."""
     right = run_arguments()
     before = right["states"].copy()
@@ -112,7 +112,7 @@ def test_a_part_is_drawn_with_right_arguments():
         (15, np.array([3])),
     ],
 )
-def test_drawing_parts_refuses(position, wrong):
+def test_drawing_parts_refuses_wrong_arrays(position, wrong):
     arguments = part_arguments()
     arguments[position] = wrong
     with pytest.raises((TypeError, ValueError)):
@@ -131,7 +131,7 @@ def test_drawing_parts_refuses(position, wrong):
         (7, np.ones(3)),
     ],
 )
-def test_drawing_the_plate_refuses(position, wrong):
+def test_drawing_the_plate_refuses_wrong_arrays(position, wrong):
     arguments = [
         CANVAS.ravel(), CANVAS.ravel(), np.zeros((20, 2)), np.arange(20), np.zeros((1, 3)), 1, 0.0,
         np.ones(2), 1.0, 60.0, 220.0,
@@ -162,7 +162,7 @@ def test_an_exposure_refuses_arrays_of_other_sizes_and_types():
         ("scales", np.empty(7)),
     ],
 )
-def test_a_table_of_the_plate_refuses(name, wrong):
+def test_tabulating_the_plate_refuses_wrong_arrays(name, wrong):
     right = {
         "times": np.arange(3.0), "coefficients": np.zeros((2, 6, 3)), "gravity_x": 0.0,
         "gravity_y": 0.0, "closed": True, "table": np.empty((2, 24)), "scales": np.empty(8),
@@ -187,7 +187,7 @@ def test_a_table_of_the_plate_refuses(name, wrong):
         ("checked", np.ones(2)),
     ],
 )
-def test_a_run_of_points_refuses(name, wrong):
+def test_the_simulation_of_points_refuses_wrong_arrays(name, wrong):
     table = np.zeros((1, 24))
     table[0, 1] = 0.1
     right = {

@@ -99,7 +99,7 @@ def test_prediction_over_the_running_cycle_is_what_makes_it_work(rig, scene):
     assert follow(rig, scene, "sinusoids", 2, blind=True) > 5 * seeing
 
 
-def test_velocities_belong_to_ids_whatever_their_order(rig, scene):
+def test_velocities_belong_to_ids_in_any_order(rig, scene):
     assert follow(rig, scene, "sinusoids", 3, shuffled=True) < 0.15
 
 
@@ -137,7 +137,7 @@ def test_the_predicted_end_near_the_places_is_reached(rig, scene, method):
 
 
 @METHOD
-def test_no_parts_no_motion(rig, scene, method):
+def test_without_parts_the_plate_rests_in_the_controller(rig, scene, method):
     _, position = scene(0, 2)
     loop = Loop(rig, Controller(rig, method), position)
     loop.step(np.full((2, 2), 0.005))
@@ -269,7 +269,7 @@ def test_same_seed_same_loop(rig, scene, method):
     np.testing.assert_array_equal(run(controller), first)
 
 
-def test_tolerance_is_freedom(rig, scene):
+def test_a_tolerance_reduces_the_iterations(rig, scene):
     # 2 mm/s to either side: less work, and the drift stays inside.
     steps = {0.0: 0, 0.002: 0}
     for tolerance in steps:

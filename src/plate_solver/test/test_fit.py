@@ -9,7 +9,7 @@ from plate_solver.fit import basin_hopping, fit
 
 
 @pytest.mark.parametrize("damping", [0.0, 0.1])
-def test_step_of_least_norm(damping):
+def test_the_step_has_the_minimum_norm(damping):
     rng = np.random.default_rng(0)
     jacobian, error = rng.normal(size=(4, 12)), rng.normal(size=4)
     step = least_norm_step(jacobian, error, damping)

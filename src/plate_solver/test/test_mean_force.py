@@ -86,7 +86,7 @@ def test_agrees_with_quadrature_of_the_textbook_formula(seed):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_it_equals_the_gain_of_a_nearly_frictionless_part_in_the_simulator(wild, seed):
+def test_the_mean_force_equals_the_velocity_gain_of_a_nearly_frictionless_part(wild, seed):
     # Friction too weak to move the part: its gain of velocity is the mean force. The plate's own
     # displacement, which the map neglects, is 0.1 um after scaling; velocities scale along.
     scale, mu, gravity = 1e-4, 1e-12, 9.81
@@ -270,5 +270,5 @@ def test_values_that_are_not_finite_are_named(name):
         average_force(PlateCycle.rest(0.1), **given)
 
 
-def test_no_parts_no_forces():
+def test_without_parts_there_are_no_forces():
     assert average_force(PlateCycle.rest(0.1), np.zeros((0, 2))).shape == (0, 2)

@@ -42,7 +42,7 @@ def test_forces_and_derivatives_agree_with_panels(number):
 
 @pytest.mark.parametrize("apart", [0.5, 0.1, 0.03, 0.01, 1e-3, 1e-5])
 @pytest.mark.parametrize("side", [1, -1])
-def test_two_dips_close_by(apart, side):
+def test_the_force_is_accurate_near_two_close_minima_of_the_slip(apart, side):
     rng = np.random.default_rng(5)
     for _ in range(5):
         depth = 10.0 ** rng.uniform(-4, -1, 2)

@@ -211,7 +211,7 @@ def test_force_on_the_cycle_map_is_the_growth_of_the_drift(scene, method, count)
 
 
 @BOTH
-def test_too_much_on_the_cycle_map_is_missed_no_more_than_by_its_fraction(scene, method):
+def test_an_infeasible_request_on_the_cycle_map_has_the_stated_residual(scene, method):
     solver = method(RIG, restarts=1)
     unit = RIG.friction.accel * solver.steering_period(4) ** 2
     rng, position = scene(0, 4)

@@ -119,7 +119,7 @@ def test_plan_gives_the_forces_and_closes(scene, count):
     assert free - 1e-9 <= plan.times.cost <= 1.15 * free
 
 
-def test_too_much_is_met_in_part(scene):
+def test_an_infeasible_request_is_partly_met(scene):
     _, position = scene(2, 6)
     force = np.random.default_rng(0).normal(size=(6, 2))
     plan = plan_rotations(LIBRARY, position, force)

@@ -69,7 +69,7 @@ def test_random_requests(rig, scene, method, count, seeds, min_success):
 
 
 @BOTH
-def test_simulated_parts_gain_the_wanted_velocities(rig, scene, method):
+def test_simulated_parts_gain_the_requested_velocities(rig, scene, method):
     # Another implementation: parts that hardly rub, on a plate scaled down to micrometres.
     solver = method(rig)
     for seed in range(3):

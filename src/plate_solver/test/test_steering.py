@@ -287,7 +287,7 @@ def test_four_steps_from_near_a_solution_gain_most_of_what_it_gains(rig, scene):
     assert min(fractions) > 0.8  # 0.92; with `first` at 1e-2: -3 to 2.5
 
 
-def test_a_cycle_goes_on_from_where_the_plate_is_and_parts_go_where_predicted(rig, scene):
+def test_a_cycle_continues_from_the_plate_state_and_parts_move_as_predicted(rig, scene):
     solver = SinusoidSolver(rig, restarts=3)
     rng, position = scene(2, 4)
     velocity, before = 0.02 * rng.normal(size=(4, 2)), PlateCycle.rest(0.1)
@@ -423,7 +423,7 @@ def test_infeasible_requests_are_reported(rig, method):
     assert 0.02 < got[0] < 0.5  # as far that way as it can
 
 
-def test_a_plate_that_shakes_little_goes_on_in_longer_cycles(rig):
+def test_a_low_acceleration_limit_lengthens_the_cycles(rig):
     weak = replace(rig, limits=replace(rig.limits, accel=5 * rig.friction.accel))
     for one, period in ((rig, 0.1), (weak, 0.2)):
         solver = SinusoidSolver(one)

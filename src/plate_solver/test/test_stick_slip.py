@@ -104,7 +104,7 @@ def test_fine_steps_agree_with_the_simulator(shaken, seed):
     np.testing.assert_allclose(left, truth.velocity[-1], atol=2e-4)
 
 
-def test_error_falls_at_least_in_proportion_to_the_step(shaken):
+def test_the_error_decreases_at_least_linearly_with_the_step(shaken):
     steps = np.array([100, 200, 400, 800, 1600])
     error = np.zeros(len(steps))
     for seed in range(10):

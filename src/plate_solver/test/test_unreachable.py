@@ -49,7 +49,7 @@ def test_every_motion_stays_below_the_proven_bound(number):
     assert _proves(cells, position, ARM, direction, 1.4 * seen / max_force)
 
 
-def test_many_parts_that_all_want_the_most_are_proven_out_of_reach():
+def test_maximum_forces_on_many_parts_are_proven_infeasible():
     rng = np.random.default_rng(1)
     position = rng.uniform(-1, 1, (12, 2)) * [0.3, 0.15]
     angle = rng.uniform(0, 2 * np.pi, 12)

@@ -111,7 +111,7 @@ def test_a_cycle_in_motion_and_its_tail_keep_the_limits(name):
 
 
 @SOLVERS
-def test_motors_just_strong_enough_need_no_look(solver):
+def test_motors_above_the_headroom_need_no_force_check(solver):
     """At `HEADROOM`, by heat and by peak force: 1 m/s2 of the corners takes 1 N at most."""
     max_force = HEADROOM * load_rig().limits.accel
     for force, continuous in ((2 * max_force, max_force / PEAK_OVER_RMS), (max_force, max_force)):

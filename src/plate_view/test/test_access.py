@@ -23,7 +23,7 @@ def test_a_network_needs_a_token(address):
     assert access.role(OPERATOR[:-1]) is None
 
 
-def test_a_token_makes_a_viewer_or_an_operator():
+def test_a_token_determines_the_role_of_a_browser():
     access = Access("0.0.0.0", OPERATOR, VIEWER)
     assert access.role(VIEWER) is Role.VIEWER
     assert access.role("no token at all: ü") is None

@@ -126,5 +126,5 @@ def test_special_characters_of_a_shell_are_quoted():
     assert shlex.split(call_text(command))[-1] == "{id: $(reboot)`ls`}"
 
 
-def test_a_number_that_is_none_is_minus_one():
+def test_an_invalid_number_is_read_as_minus_one():
     assert [number_of(each) for each in ({"number": 3}, {"number": True}, {}, 3)] == [3, -1, -1, -1]

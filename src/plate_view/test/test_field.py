@@ -33,7 +33,7 @@ def test_slow_forth_and_quick_back_pulls_forth():
     assert np.all(drift(smooth, POINT, RIG.friction.accel)[:, 0] > 0)
 
 
-def test_a_heavy_rub_carries_parts_with_the_plate():
+def test_with_high_friction_parts_move_with_the_plate():
     """With friction without end parts stick, and come back with the plate."""
     n = 64
     cycle = along_x(0.005 * (1 - np.cos(2 * np.pi * np.arange(n) / n)))

@@ -125,7 +125,7 @@ def replay(bag, received):
     made.close()
 
 
-def test_a_jump_shows_what_was_known_then(replay, received):
+def test_a_jump_restores_the_messages_of_that_time(replay, received):
     received.clear()
     replay.seek(BEGIN_S + 4.02)
     shown = dict(received)
@@ -140,7 +140,7 @@ def test_a_jump_shows_what_was_known_then(replay, received):
     assert replay.now == replay.end == pytest.approx(BEGIN_S + 5)
 
 
-def test_it_plays_at_its_rate_and_ends(replay, received, monkeypatch):
+def test_a_replay_runs_at_its_rate_and_ends(replay, received, monkeypatch):
     clock = [100.0]
     monkeypatch.setattr("plate_view.ros.replay.time.monotonic", lambda: clock[0])
     replay.step()

@@ -133,7 +133,7 @@ def test_idle_connections_do_not_block_others(server, taken, monkeypatch):
     assert taken == ["stop"]
 
 
-def test_an_operator_finds_a_place_however_many_look_on(monkeypatch):
+def test_an_operator_can_connect_with_any_number_of_viewers(monkeypatch):
     monkeypatch.setattr(module, "MAX_BROWSERS", 3)
     monkeypatch.setattr(module, "MAX_VIEWERS", 2)
     access = Access(operator_token="operator1234", viewer_token="viewer123456")

@@ -201,7 +201,7 @@ def test_the_size_of_parts(field):
         View(distance=1.3, roll=-25.0, at=(0.0, -0.1)),
     ],
 )
-def test_home_is_found_wherever_the_camera_was_mounted(view):
+def test_home_is_found_for_any_position_of_the_camera(view):
     corners_px, error = find_plate_corners(picture(view, seed=3), rig_of(VIEW))
     assert np.abs(corners_px - view.see(RIG.plate.corners)).max() < 0.3
     assert error < 5e-4

@@ -31,7 +31,7 @@ STEP = np.array([0.02, 0.0])
 """A row of parts that moves on by the distance of two of them: it looks as if it rested."""
 
 
-def test_a_row_that_moves_on_by_its_own_spacing():
+def test_a_row_that_moves_by_its_spacing_keeps_its_ids():
     tracker = update(Tracker(), -T, ROW, ["grey"] * 6)
     tracker = update(tracker, 0.0, ROW, ["grey"] * 6)
     moved = update(tracker, T, ROW + STEP, ["grey"] * 6, expected=expecting(tracker, T, STEP))
@@ -42,7 +42,7 @@ def test_a_row_that_moves_on_by_its_own_spacing():
     assert ids_at(alone) != ids_at(moved)  # so only the prediction distinguishes them
 
 
-def test_the_missed_one_is_missed_and_nobody_takes_its_place():
+def test_no_other_part_takes_the_place_of_a_missed_part():
     tracker = update(Tracker(), 0.0, ROW, ["grey"] * 6)
     known = expecting(tracker, T, STEP)
     left = np.delete(ROW, 2, axis=0)
@@ -97,7 +97,7 @@ def test_an_old_prediction_is_ignored(at):
     assert ids_at(moved) == ids_at(update(tracker, T, ROW + STEP, ["grey"] * 6))
 
 
-def test_a_prediction_of_long_ago_throws_nothing_away():
+def test_an_old_prediction_loses_no_parts():
     """The part went only a little further in a minute without images."""
     tracker = update(Tracker(), 0.0, ROW, ["grey"] * 6)
     known = expecting(tracker, T, STEP / 4)
@@ -122,7 +122,7 @@ def test_a_misread_class_keeps_the_id():
         assert tracker.renamed == ()
 
 
-def test_a_class_that_changes_for_good_changes_the_id_once():
+def test_a_permanent_change_of_class_changes_the_id_once():
     tracker, names = Tracker(), []
     for k in range(40):
         label = ["black" if k < 20 else "grey", "grey"]

@@ -45,7 +45,7 @@ def test_tilted_camera_agrees_with_opencv(points):
     assert np.allclose(calibration.to_image(points), expected, atol=1e-3)  # OpenCV took floats
 
 
-def test_there_and_back(points):
+def test_to_home_inverts_to_image(points):
     for calibration in (
         calibrate(TILTED_PX, CORNERS),
         calibrate(TILTED_PX, CORNERS, LENS),
@@ -56,7 +56,7 @@ def test_there_and_back(points):
         assert calibration.to_image(np.empty((0, 2))).shape == (0, 2)
 
 
-def test_matrix_and_rig():
+def test_calibrations_by_matrix_and_by_rig_agree():
     rig = load_rig()
     by_rig = calibrate_by_rig(rig)
     assert np.allclose(by_rig.to_image(rig.plate.corners), rig.camera.corners_px, atol=1e-9)
@@ -132,7 +132,7 @@ def test_degenerate_matrices_are_refused(matrix):
         calibrate_by_matrix(matrix)
 
 
-def test_an_area_of_the_least_size_is_allowed():
+def test_an_area_of_the_minimum_size_is_allowed():
     square = np.array([[1.0, 1], [5, 1], [5, 5], [1, 5]])
     assert check_quadrilateral(square, "it", CalibrationError, min_area=16.0) is not None
     with pytest.raises(CalibrationError, match=r"at least 16\.1 px2"):

@@ -201,7 +201,7 @@ def test_camera_info_is_the_file_s_or_not_calibrated(start, camera, tmp_path):
     assert info.p[5] == 81.0
 
 
-def test_an_unplugged_camera_is_named_and_goes_on_when_it_is_back(start, camera):
+def test_an_unplugged_camera_is_named_and_continues_when_it_is_back(start, camera):
     graph = start(camera, device=camera.path, **SIZE)
     shown(graph, camera)
     camera.unplug()
@@ -344,7 +344,7 @@ def folder(path, draw, rng):
     return path
 
 
-def test_a_folder_begins_when_somebody_looks_and_ends_with_its_last_picture(
+def test_a_folder_starts_with_the_first_subscriber_and_ends_with_its_last_picture(
     start, tmp_path, draw, rng
 ):
     graph = start(device=folder(tmp_path, draw, rng), rate=50.0, listen=False)

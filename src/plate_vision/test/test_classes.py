@@ -173,7 +173,7 @@ def test_without_colours_outlines_do(draw_types, catalogue):
     assert sorted(found["label"]) == sorted(pose[0] for pose in poses)
 
 
-def test_what_is_like_no_type_is_unknown(draw_types):
+def test_a_part_that_resembles_no_type_is_unknown(draw_types):
     rng = np.random.default_rng(7)
     poses = scatter(["nut", "bracket", "coin_large"], rng)
     picture = draw_types(TYPES, poses, rng)
@@ -193,7 +193,7 @@ def test_another_colour_is_another_type(draw_types):
     assert [one["label"] for _, one, _ in paired(found, poses)] == ["red", "blue"] * 3
 
 
-def test_a_part_turned_over_is_not_its_type(draw_types):
+def test_a_flipped_part_is_not_of_its_type(draw_types):
     rng = np.random.default_rng(9)
     outline = (
         (0.0, 0.0),
@@ -295,7 +295,7 @@ def test_parts_that_touch_are_taken_apart_by_their_types(draw_types):
         assert abs(turn_error(one, pose)) < 2.5
 
 
-def test_brackets_back_to_back_are_taken_apart(draw_types):
+def test_two_adjacent_brackets_are_separated(draw_types):
     rng = np.random.default_rng(12)
     types = {name: TYPES[name] for name in ("bracket", "screw")}
     poses = [("bracket", 0.0, 0.0, 0.0), ("bracket", -0.0166, 0.004, np.pi)]

@@ -168,7 +168,7 @@ def test_part_in_a_corner(draw, corners_px, rng, corner, room):
     assert error_px(found, centre[None], ["black"])[0] < 0.5
 
 
-def test_what_is_beside_the_plate_does_not_count(draw, corners_px, rng):
+def test_objects_beside_the_plate_are_ignored(draw, corners_px, rng):
     centre = np.array(
         [[300.0, 40.0], [300.0, 84.0], [300.0, 430.0], [320.0, 240.0], [635.0, 240.0]]
     )
@@ -184,7 +184,7 @@ def test_what_is_beside_the_plate_does_not_count(draw, corners_px, rng):
     assert len(detect(frame, OPTIONS, corners_px)) == 0
 
 
-def test_margin(draw, corners_px, rng):
+def test_the_margin_keeps_parts_whose_centres_seem_off_the_plate(draw, corners_px, rng):
     """With the plate a little displaced, a part's centre may seem to be beside it."""
     moved = corners_px + (0.0, -2.0)
     centre = np.array([[300.0, 91.85], [400.0, 240.0]])  # y of the edge at rest there: 92.55
@@ -274,7 +274,7 @@ def test_part_with_something_attached(draw, corners_px, rng):
 
 
 @pytest.mark.parametrize("radius_px", [4.0, 12.0, 30.0])
-def test_other_sizes(draw, corners_px, rng, radius_px):
+def test_parts_of_other_radii_are_detected(draw, corners_px, rng, radius_px):
     centre = np.array([[x, y] for x in (100.3, 220.0, 340.6) for y in (150.2, 300.8)])
     label = labels(6, rng)
     frame = draw(centre, label, rng, radius=radius_px)
@@ -291,7 +291,7 @@ def test_radius_tolerance(draw, corners_px, rng):
             assert len(detect(frame, options, corners_px)) == count
 
 
-def test_thresholds(draw, corners_px, rng):
+def test_thresholds_separate_the_classes(draw, corners_px, rng):
     """Shares of the plate's brightness: black is 0.18, grey 0.59 of it."""
     centre = np.array([[200.0, 200.0], [400.0, 300.0]])
     frame = draw(centre, ["black", "grey"], rng)
@@ -306,7 +306,7 @@ def test_thresholds(draw, corners_px, rng):
     assert found(min_plate_grey=240) == []
 
 
-def test_kinds_of_images(draw, corners_px, rng):
+def test_images_of_all_memory_layouts_are_accepted(draw, corners_px, rng):
     centre, label = apart(10, rng, gap_px=6), labels(10, rng)
     frame = draw(centre, label, rng)
     frame.setflags(write=False)

@@ -219,7 +219,7 @@ def test_wrong_images_are_refused(words, change):
         decode(**{**good, **change})
 
 
-def test_one_pixel():
+def test_an_image_of_one_pixel_is_decoded():
     for encoding, (kind, size) in ENCODINGS.items():
         if kind.startswith(("bayer", "yuv", "nv")):
             continue
@@ -301,7 +301,7 @@ def test_a_tiff_file_that_breaks_off_is_refused_or_has_all_pixels(rng):
     assert refused > 100
 
 
-def test_files_that_are_none_are_refused(rng):
+def test_invalid_image_files_are_refused(rng):
     for content in (b"", b"\xff\xd8", b"\xff" * 40, rng.bytes(1000), b"\xff\xd8\xff\xd9"):
         with pytest.raises(ImageError, match="allowed: "):
             decode_file(content, "jpeg")

@@ -46,7 +46,7 @@ def in_numpy(away, around, like, slope, labels, bound, level):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_it_is_that_of_plain_numpy(seed):
+def test_the_fade_kernel_agrees_with_numpy(seed):
     given = scene(np.random.default_rng(seed))
     fade, way = np.zeros(len(given[5]), np.float32), np.zeros((len(given[5]), 2))
     _kernels.find_fade(*given, fade, way)
@@ -57,7 +57,7 @@ def test_it_is_that_of_plain_numpy(seed):
 
 
 @pytest.mark.parametrize("channels", [1, 3])
-def test_areas_that_look_like_a_darker_plate(channels):
+def test_areas_similar_to_a_darker_plate_agree_with_numpy(channels):
     rng = np.random.default_rng(channels)
     shape, count, chroma = (40, 60), 6, 0.9
     bare = np.full((*shape, channels), 128, np.uint8) + rng.integers(0, 40, channels, np.uint8)

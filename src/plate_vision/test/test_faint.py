@@ -44,16 +44,16 @@ def test_faint_discs_are_counted_far_below_the_noise(draw, rng, contrast, noise)
 
 @pytest.mark.parametrize("shading", ["flat", "slope", "vignette"])
 @pytest.mark.parametrize("noise", [0.0, 2.0, 20.0])
-def test_a_bare_plate_has_none(draw, rng, shading, noise):
+def test_a_bare_plate_has_no_faint_patches(draw, rng, shading, noise):
     assert len(look(draw([], [], rng, noise=noise, shading=shading))[0]) == 0
 
 
-def test_parts_that_are_known_and_their_shadows_are_none(draw, rng):
+def test_detected_parts_and_their_shadows_are_no_faint_patches(draw, rng):
     image = draw(PLACES, ["grey"] * len(PLACES), rng, radius=8.0, extra=spots(20, PLACES + 5))
     assert len(look(image, PLACES)[0]) == 0
 
 
-def test_stripes_and_large_shades_are_none(draw, rng):
+def test_stripes_and_large_shadows_are_no_faint_patches(draw, rng):
     def extra(image):
         image[150:330, 200:204] -= 10  # a line
         image[150:330, 380:470] -= 10  # a shadow of something above
@@ -61,7 +61,7 @@ def test_stripes_and_large_shades_are_none(draw, rng):
     assert len(look(draw([], [], rng, extra=extra))[0]) == 0
 
 
-def test_the_edge_of_a_plate_that_is_not_at_home_is_none(draw, rng, corners_px):
+def test_the_edge_of_a_displaced_plate_is_no_faint_patch(draw, rng, corners_px):
     for way in ([9.0, 0.0], [-9.0, 5.0], [0.0, 9.0]):
         assert len(look(draw([], [], rng, corners=corners_px + way))[0]) == 0
 

@@ -58,7 +58,7 @@ def test_a_file_of_the_usual_form(load):
 
 
 @pytest.mark.parametrize("count", [4, 5, 8])
-def test_there_and_back(tmp_path, rng, count):
+def test_a_saved_lens_is_loaded_without_changes(tmp_path, rng, count):
     lens = Lens(
         np.array([[612.3, 0, 320.1], [0, 1 / 3e-3, 0.1], [0, 0, 1]]), rng.normal(size=count)
     )
@@ -360,7 +360,7 @@ def test_models_there_and_back(tmp_path, model):
     assert (again.model, again.distortion.tolist()) == (model, values)
 
 
-def test_a_lens_that_folds_is_refused_wherever_it_comes_from(load, tmp_path):
+def test_a_lens_that_folds_is_refused_from_every_source(load, tmp_path):
     """r (1 - r2 / 2) with f 350 folds at 190 px, inside the default plate's image."""
     words = r"lens: distortion is .* folds the image of the plate, 191 px from the optical centre, "
     rig = load_rig()
@@ -410,7 +410,7 @@ def test_other_pictures_in_a_folder_are_skipped_with_a_warning(tmp_path):
     assert "skipped 3.HEIC and 1 more, allowed: .bmp" in warnings[0]
 
 
-def test_a_film(tmp_path):
+def test_a_film_is_read_frame_by_frame(tmp_path):
     path = tmp_path / "film.avi"
     film = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 10, (64, 48))
     if not film.isOpened():

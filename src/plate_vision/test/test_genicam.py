@@ -92,7 +92,7 @@ def opened(maker, **settings):
     return source
 
 
-def test_what_is_set_and_how_images_are_stamped():
+def test_settings_are_applied_and_images_get_stamps():
     maker = Maker()
     source = opened(maker, exposure_us=2000.0, gain=3, format="Y12", rate=60.0)
     nodes = maker.nodes
@@ -125,7 +125,7 @@ def test_the_brightest_grey_of_a_format_fills_its_bits(bits):
     assert (frame.encoding, frame.pixels.max()) == (f"mono{wide}", 2**wide - 2 ** (wide - bits))
 
 
-def test_a_trigger_takes_the_place_of_the_rate():
+def test_a_trigger_replaces_the_frame_rate():
     maker = Maker()
     opened(maker, trigger=True, rate=60.0)
     assert (maker.nodes.TriggerMode.value, maker.nodes.AcquisitionFrameRate.value) == ("On", 1)

@@ -159,7 +159,7 @@ def test_markers_are_no_part_of_the_bare_plate(make_plate, rng, tmp_path):
         load_bare(tmp_path, size_px, PlateLocation(plate.rig, plate.lens))
 
 
-def test_rigid_fit_is_the_least(rng):
+def test_the_rigid_fit_has_the_smallest_error(rng):
     """Against scipy, which knows nothing of rotations in closed form."""
     from scipy.optimize import least_squares
 
@@ -207,7 +207,7 @@ def leaning(make_plate):
     return make_plate(discs=discs, lean=LEAN)
 
 
-def test_parts_are_in_plate_home_wherever_camera_and_plate_are(leaning, rng):
+def test_parts_are_in_plate_home_for_any_position_of_camera_and_plate(leaning, rng):
     vision, where = make_vision(leaning.rig), PlateLocation(leaning.rig)
     tracker = Tracker(TrackerOptions(gate_m=0.1))  # here parts ride with the plate, to and fro
     poses = np.vstack([np.zeros((2, 3)), rng.uniform(-1, 1, (6, 3)) * [0.01, 0.01, 0.03]])
@@ -251,7 +251,7 @@ def test_until_home_is_found_there_is_no_answer(leaning, rng):
     assert np.abs(vision.region.outline_px - region.outline_px).max() > 5
 
 
-def test_a_plate_that_trembles_keeps_its_region(leaning, rng):
+def test_small_motions_of_the_plate_do_not_change_the_region(leaning, rng):
     """Another region for every image would cost time."""
     vision, where = make_vision(leaning.rig), PlateLocation(leaning.rig)
     where, first, _ = follow_plate(where, vision, leaning.take(HOME, rng))

@@ -95,7 +95,7 @@ def test_stamps_of_another_clock_are_rejected_and_reported_once(make, age_s):
     assert "the arrival time of images is used" in warning
 
 
-def test_what_is_automatic_is_off_and_what_is_given_is_set(make):
+def test_automatic_controls_are_off_and_given_settings_are_applied(make):
     opened = make(exposure_us=5000.0, gain=40, white_balance_k=5000).opened()
     assert opened.value(v4l2.AUTO_EXPOSURE) == v4l2.MANUAL
     assert opened.value(v4l2.EXPOSURE) == 50
@@ -353,7 +353,7 @@ def test_names_of_devices(name, kind):
 
 
 @pytest.mark.parametrize("name", ["", "nowhere.mp4"])
-def test_a_name_of_nothing_is_refused_with_what_is_allowed(name):
+def test_an_invalid_device_name_is_refused_with_the_allowed_names(name):
     with pytest.raises(PlateError, match=r"allowed: a number or path of a video device"):
         make_source(Settings(name), pytest.fail)
 
@@ -377,7 +377,7 @@ class Seen:
         return [(found.level, found.message) for found in self.watch.findings(live)]
 
 
-def test_nothing_is_wrong_with_a_regular_stream():
+def test_a_regular_stream_causes_no_warning():
     assert Seen().show(100).said() == []
 
 

@@ -135,7 +135,7 @@ def touching():
     ]
 
 
-def test_the_lamp_shines_on_where_an_image_does_not_show_it(bare, catalogue):
+def test_the_last_lamp_is_used_if_an_image_shows_no_shadows(bare, catalogue):
     view = calibrate_by_scale(SCALE)
     _, lamp = find_types_and_lamp(picture(poses(), seed=7, **HALF_LIGHT), catalogue, bare, view)
     assert lamp is not None

@@ -93,7 +93,7 @@ def test_centres_on_the_plate(name, rng):
     assert error[inner].max() < 4e-5
 
 
-def test_the_lens_matters(rng):
+def test_a_detector_without_the_lens_has_large_errors(rng):
     """A detector that does not know the lens is wrong by centimetres, or sees less."""
     rig = rig_of("barrel")
     image = frame_of("barrel", places(), ["black"] * 40, rng)

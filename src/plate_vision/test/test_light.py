@@ -37,13 +37,13 @@ def test_parts_do_not_darken_the_plate(draw, region, rng, count):
     assert np.abs(seen(plate) - truth(X_PX, Y_PX)).max() < 0.6
 
 
-def test_the_room_does_not_darken_the_plate(draw, rng):
+def test_a_dark_background_does_not_change_the_fitted_light(draw, rng):
     """Also if the place of the plate is not given."""
     plate = fit_light(draw([], [], rng), make_region((640, 480)), 60)
     assert np.abs(seen(plate) - truth(X_PX, Y_PX)).max() < 1.5
 
 
-def test_no_light_no_plate(draw, region, rng):
+def test_without_light_there_is_no_plate(draw, region, rng):
     assert fit_light(draw([], [], rng, light=0.2), region, 60) is None
     assert fit_light(np.zeros((480, 640), np.uint8), region, 0) is None
 

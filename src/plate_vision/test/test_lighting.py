@@ -107,7 +107,7 @@ def test_parts_near_the_plates_edge_are_seen_out_of_focus(softer_px, look, monke
     assert worst(image, vision.background) < 0.4
 
 
-def test_a_plate_that_is_elsewhere_is_not_out_of_focus():
+def test_a_displaced_plate_is_not_reported_as_out_of_focus():
     moved = np.roll(picture(SPOTS, 7), 5, axis=1)
     bare = learned()
     assert bare.softened(moved, region()) is bare

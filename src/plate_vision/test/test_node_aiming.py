@@ -44,14 +44,14 @@ class Aimed:
         return self.aims[-1], {check.name: check for check in self.aims[-1].checks}
 
 
-def test_nothing_is_measured_while_nobody_aims(graph, draw, rng):
+def test_without_subscribers_the_aiming_view_measures_nothing(graph, draw, rng):
     for k in range(3):
         graph.answer(image(draw(CENTRE_PX, LABEL, rng, radius=7.9), 1.0 + k))
         graph.executor.spin_for(1.0)
     assert graph.detector._aiming._job is None
 
 
-def test_the_view_to_aim_by(graph, draw, rng):
+def test_the_aiming_view_reports_all_checks(graph, draw, rng):
     aimed = Aimed(graph)
     graph.until(lambda: aimed.aims)
     assert aimed.aims[0].width == 0
@@ -196,7 +196,7 @@ class Kept:
         return self.fitted
 
 
-def test_a_lens_that_opencv_cannot_fit_is_reported_and_pictures_go_on(graph):
+def test_a_failed_lens_fit_is_reported_and_more_pictures_can_be_taken(graph):
     aiming = graph.detector._aiming
     aiming._lens = LensJob(Kept(), Board(9, 7, 0.03, 0.022), "plumb_bob")
     assert called(graph, "fit_lens").success
@@ -219,7 +219,7 @@ def test_pictures_that_are_discarded_while_they_are_fitted_stay_discarded(graph,
     assert aiming._lens is None
 
 
-def test_what_the_lens_services_refuse(graph):
+def test_the_lens_services_refuse_wrong_calls(graph):
     assert called(graph, "fit_lens").message == "0 pictures were taken, allowed: at least 5"
     assert "call ~/find_home" in called(graph, "save_home").message
     assert "call ~/fit_lens" in called(graph, "save_lens").message

@@ -14,7 +14,7 @@ from plate_core.ros import DATA, IMAGE, msg_to_parts
 pytestmark = pytest.mark.usefixtures("detector_time")
 
 
-def test_pictures_for_people_only_for_those_who_look(graph, draw, rng):
+def test_drawings_are_published_only_if_there_are_subscribers(graph, draw, rng):
     drawings, scenes = [], []
     frames = [draw(CENTRE_PX + [k, 0], LABEL, rng, radius=7.9) for k in range(3)]
     graph.answer(image(frames[0], 1.0))

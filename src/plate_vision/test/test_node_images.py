@@ -53,7 +53,7 @@ def packed(frame, encoding):
     ["bgr8", "rgb8", "mono16", "yuv422", "yuv422_yuy2", "nv21", "bayer_rggb16"]
     + [f"bayer_{first}8" for first in ("rggb", "bggr", "gbrg", "grbg")],
 )
-def test_encodings(graph, draw, rng, encoding):
+def test_images_of_all_encodings_are_detected(graph, draw, rng, encoding):
     frame = draw(CENTRE_PX, LABEL, rng, radius=7.9)
     data = packed(frame, encoding)
     msg = image(frame, 1.0)
@@ -112,7 +112,7 @@ def test_images_of_fewer_bits_than_declared_name_the_parameter(draw, rng, kind, 
         graph.close()
 
 
-def test_wrong_images_are_refused_and_the_node_goes_on(graph, draw, rng):
+def test_wrong_images_are_refused_and_the_node_continues(graph, draw, rng):
     frame = draw(CENTRE_PX, LABEL, rng, radius=7.9)
 
     def wrong(words, **fields):

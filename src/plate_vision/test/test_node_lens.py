@@ -123,7 +123,7 @@ def test_a_refused_camera_info_stays_in_diagnostics(graph, draw, rng, values, mo
 
 
 @pytest.mark.parametrize("wrong", ["no scale", "far"])
-def test_a_camera_info_of_no_lens_is_refused_and_the_node_goes_on(graph, draw, rng, wrong):
+def test_an_invalid_camera_info_is_refused_and_the_node_continues(graph, draw, rng, wrong):
     msg = camera_info([-0.2, 0.0, 0.0, 0.0, 0.0])
     if wrong == "no scale":
         msg.k[8] = 0.0

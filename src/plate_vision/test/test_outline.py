@@ -70,7 +70,7 @@ TILTS = [(0, 0, 0), (15, 0, 3), (0, 25, 0), (0, -25, 5), (40, 0, 0), (0, 40, 0),
 
 @pytest.mark.parametrize(("tilt_x", "tilt_y", "roll"), [*TILTS, (0, 0, 180)])
 @pytest.mark.parametrize("noise", [2.0, 15.0])
-def test_a_plate_where_it_is_measured_is_no_finding(tilt_x, tilt_y, roll, noise, rng):
+def test_a_plate_at_its_predicted_place_causes_no_warning(tilt_x, tilt_y, roll, noise, rng):
     far = max(tilt_x, abs(tilt_y)) > 30
     view = View(tilt_x=tilt_x, tilt_y=tilt_y, roll=roll, distance=1.05 if far else 0.95)
     shapes = [*BARE, *parts_over_edges(rng)]
@@ -181,7 +181,7 @@ def test_a_square_image_rotated_by_90_degrees_is_named(turns, name, rng):
     no_claim(evaluate(rig_of(view), [image] * IMAGES))
 
 
-def test_ways_to_flip_that_look_alike_are_all_named():
+def test_all_possible_flips_of_the_image_are_named():
     view = View(tilt_y=20, distance=1.0)  # symmetric about the image's horizontal axis
     image = draw(view, BARE, 60.0)
     turned = evaluate(rig_of(view), [np.ascontiguousarray(image[::-1, ::-1])] * IMAGES)
@@ -217,7 +217,7 @@ HELD = (rectangle(0.3, 0.1, (-0.1, 0.16)), 30.0)
         (0.95, [(rectangle(LENGTH, WIDTH), (60, 150, 120))], (140, 120, 140), "as predicted"),
     ],
 )
-def test_what_is_not_seen_is_not_claimed(distance, shapes, room, text, rng):
+def test_no_outline_is_reported_if_the_plate_is_not_visible(distance, shapes, room, text, rng):
     view = View(distance=distance)
     assert no_claim(seen(rig_of(view), view, shapes, room)).startswith(text)
 

@@ -46,7 +46,7 @@ def test_a_few_things_are_reported_without_a_warning():
     assert tally(26, ["misfit"] * 3).finding(DISCS).level == Level.WARN  # 10.3 %
 
 
-def test_no_part_at_all_is_a_warning():
+def test_missing_parts_cause_a_warning():
     found = tally(0, ["too small"], radius=1e-3).finding(DISCS)
     assert found.level == Level.WARN
     assert says(found.message, "no part", "1 other object", "1 too small", "radius")

@@ -95,7 +95,7 @@ def test_without_a_lens_the_height_is_known_by_the_perspective_or_by_the_rig_fil
     assert errors(seen(look.rig(height=0.01, calibrated=False), image), position).max() < 4e-4
 
 
-def test_a_height_that_is_not_known_shows_in_the_scatter(rng):
+def test_an_unknown_height_increases_the_reported_noise(rng):
     position = scattered(rng)
     image = cast(NEAR, position, GREYS, rng, height=0.006)
     tracker = seen(NEAR.rig(), image)
@@ -111,7 +111,7 @@ def test_highlights_are_no_marks(rng):
     assert np.all(seen(Look().rig(), image).parts.angle == 0)
 
 
-def test_the_shadow_is_known_from_then_on(rng):
+def test_a_detected_shadow_is_stored_in_the_tracker(rng):
     position = scattered(rng)
     look = Look()
     image = cast(look, position, GREYS, rng, shadow=(0.006, -0.004, 0.5))
@@ -131,7 +131,7 @@ REASONS = {
 
 
 @pytest.mark.parametrize("reason", REASONS)
-def test_what_is_no_part_is_listed_with_its_reason(reason, rng):
+def test_ignored_objects_are_listed_with_their_reason(reason, rng):
     position = GRID[::3]
     image = cast(Look(), position, np.full(len(position), 40.0), rng, **REASONS[reason])
     tracker = seen(Look().rig(), image)
@@ -142,7 +142,7 @@ def test_what_is_no_part_is_listed_with_its_reason(reason, rng):
     assert gap.min(axis=1).max() < 1e-3
 
 
-def test_a_part_that_was_no_part_before_is_listed_until_it_has_a_class(rng):
+def test_a_new_part_in_place_of_an_unknown_object_is_unknown_until_it_has_a_class(rng):
     position = GRID[::3]
     large = cast(Look(), position, np.full(8, 40.0), rng, radius=0.013)
     plain = cast(Look(), position, np.full(8, 40.0), rng)

@@ -86,7 +86,7 @@ def test_discs_of_any_size(light, part, ground):
     assert np.all(parts["angle_rad"] == 0)
 
 
-def test_the_size_of_parts_that_are_alike_is_found():
+def test_the_size_of_equal_parts_is_found():
     """They are measured again as parts of that radius: ten times better."""
     centre = [(50.3, 60.2), (120.6, 80.9), (200.1, 90.4), (80.8, 200.5), (250.7, 200.1)]
     for part, ground in ((180, 80), (40, 200)):
@@ -173,7 +173,7 @@ def test_parts_blurred_along_the_motion():
 
 
 @pytest.mark.parametrize("shape", [(300, 400), (1, 1), (1, 300), (7, 9), (20, 20)])
-def test_nothing_is_invented(shape):
+def test_a_uniform_or_noisy_image_contains_no_parts(shape):
     rng = np.random.default_rng(3)
     for level in (0, 3, 128, 252, 255):
         assert len(detect(np.full(shape, level, np.uint8))) == 0
@@ -203,7 +203,7 @@ def test_huge_picture():
         ("retina", np.inf, 18),  # taken for the background, with crossings of vessels on it
     ],
 )
-def test_photographs(name, worst_px, invented):
+def test_parts_of_photographs_are_found(name, worst_px, invented):
     """Centres near to those marked by hand, and hardly more parts than these, nothing set."""
     from skimage import data
 

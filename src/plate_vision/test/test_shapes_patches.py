@@ -102,7 +102,7 @@ def test_parts_of_any_outline_on_a_plate_that_is_known(plate):
     assert all(patch.whole and not patch.group for patch in patches)
 
 
-def test_what_lies_within_a_rim_around_the_plate_is_not_the_rims():
+def test_an_object_inside_a_frame_is_not_part_of_the_frame():
     inner = disc(60.4, 80.7, 9)
     rim = (lambda x, y: ~disc(130, 100, 90)(x, y), DARK)
     patches = find_patches(picture([rim, (inner, DARK)]), bare())
@@ -122,7 +122,7 @@ def test_a_jagged_part_with_a_waist_is_one():
     assert not any(patch.group for patch in patches)
 
 
-def test_what_ends_at_no_edge_is_no_part_of_a_photograph():
+def test_a_spot_without_an_edge_is_no_part_of_a_photograph():
     image = picture([(disc(60, 60, 20), GREY)]).astype(float)
     y, x = np.mgrid[: SIZE[0], : SIZE[1]]
     arms = [np.exp(-(((x - 180) / a) ** 2) - ((y - 130) / b) ** 2) for a, b in ((60, 14), (14, 60))]
@@ -132,7 +132,7 @@ def test_what_ends_at_no_edge_is_no_part_of_a_photograph():
     assert found["x_px"][0] == pytest.approx(60, abs=0.3)
 
 
-def test_grey_levels_do():
+def test_grey_levels_are_sufficient_to_find_parts():
     shapes = [disc(50.2, 60.4, 13), box(150.6, 90.3, 30, 14, 1.0)]
     images = [picture([(shape, GREY) for shape in shapes])[:, :, 1]]
     plate = learn_plate(np.stack([picture([], seed=5)[:, :, 1]]))
@@ -172,14 +172,14 @@ def test_a_part_that_the_image_cuts_off_is_not_whole_where_the_plate_goes_on():
     assert whole == {False: True, True: False}
 
 
-def test_a_highlight_is_part_of_its_part():
+def test_a_highlight_belongs_to_its_part():
     parts = [(disc(80.4, 90.3, 16), (60, 60, 60)), (disc(86, 84, 3), (252, 252, 252))]
     (patch,) = find_patches(picture(parts), bare())
     assert np.hypot(*(patch.centre_px - [80.4, 90.3])) < 0.3
     assert patch.holes == []
 
 
-def test_a_shadow_is_not():
+def test_a_shadow_is_no_part():
     spots = [(60.3, 60.4), (150.6, 70.2), (100.1, 140.5)]
     plate = np.tile(np.array(LIGHT, float), (*SIZE, 1))
     cast = sum(cover_of(disc(x + 4, y + 3, 12)) for x, y in spots)
@@ -234,7 +234,7 @@ def test_a_chain_of_parts_is_split():
     assert worst(find_patches(picture(parts), bare()), [*spots, (141.2, 92.2)]) < 0.8
 
 
-def test_a_side_by_side_pair_is_cut_by_its_like():
+def test_a_pair_with_a_common_side_is_split_by_similar_parts():
     """Two bars with a whole side in common, and others of their kind elsewhere."""
     apart = [(40.3, 40.2), (100.1, 40.9), (160.7, 40.4), (220.2, 40.6)]
     pair = [(100.0, 120.0), (104.0, 132.0)]
@@ -242,7 +242,7 @@ def test_a_side_by_side_pair_is_cut_by_its_like():
     assert worst(find_patches(picture(parts), bare()), apart + pair) < 1.0
 
 
-def test_what_cannot_be_split_is_a_group():
+def test_a_patch_that_cannot_be_split_is_a_group():
     """Three brackets that lie in each other, among discs of one kind."""
     apart = [(30.3, 30.2), (80.1, 30.9), (140.7, 30.4), (200.2, 30.6), (30.5, 140.5)]
     parts = [(disc(x, y, 9), RED) for x, y in apart]
@@ -252,7 +252,7 @@ def test_what_cannot_be_split_is_a_group():
     assert sum(not patch.group for patch in patches) == len(apart)
 
 
-def test_what_is_cut_by_the_border_is_not_whole():
+def test_a_patch_that_the_border_cuts_is_not_whole():
     image = picture([(disc(3.0, 80.0, 12), RED), (disc(80.4, 90.3, 12), RED)])
     patches = find_patches(image, bare())
     assert sorted(patch.whole for patch in patches) == [False, True]
@@ -333,7 +333,7 @@ def test_touching_parts_with_narrow_necks_are_pieces_of_one_patch():
     assert min(fractions(found, [single, *chain])) > 0.95
 
 
-def test_what_a_wider_neck_joins_is_two_parts_if_both_are_large_or_like_others():
+def test_a_wide_neck_separates_two_parts_if_both_are_large_or_like_others():
     large, knob = disc(80, 60, 12), disc(97, 60, 6)
     found = pieces([large, knob])
     assert len(found) == 1

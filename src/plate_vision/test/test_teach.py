@@ -49,7 +49,7 @@ def gear(teeth, outer=0.02, inner=0.0165):
 
 
 @pytest.mark.parametrize("name", ["nut", "washer", "square", "bar", "bracket", "screw"])
-def test_what_is_learned_is_the_part_that_was_drawn(draw_types, name):
+def test_the_learned_type_equals_the_drawn_part(draw_types, name):
     pictures = [Example(picture(draw_types, name, seed)) for seed in (1, 2)]
     lesson = learn_type(name, pictures, HOME)
     part, true = lesson.part, TYPES[name]
@@ -77,7 +77,7 @@ def test_one_example_is_enough_and_grey_levels_will_do(draw_types):
 
 
 @pytest.mark.parametrize("rows", [(0.04, -0.04, 0.0), (-0.04, 0.0, 0.04), (0.0, 0.04, -0.04)])
-def test_an_angle_of_0_is_how_the_leftmost_part_of_the_first_example_lies(draw_types, rows):
+def test_the_leftmost_part_of_the_first_example_defines_the_angle_0(draw_types, rows):
     rng = np.random.default_rng(4)
     poses = [
         ("screw", x, y, a) for x, y, a in zip((0.07, -0.07, 0), rows, (2, 0.7, -1), strict=True)
@@ -89,7 +89,7 @@ def test_an_angle_of_0_is_how_the_leftmost_part_of_the_first_example_lies(draw_t
     assert np.degrees(found["angle_rad"]) == pytest.approx(np.degrees(0.5), abs=1.5)
 
 
-def test_an_angle_of_0_is_how_the_first_example_lies(draw_types):
+def test_the_first_example_defines_the_angle_0(draw_types):
     rng = np.random.default_rng(4)
     first = draw_types(TYPES, [("screw", 0, 0, 0.7)], rng, size_px=SIZE_PX)
     again = draw_types(TYPES, [("screw", 0.01, 0, 1.2)], rng, size_px=SIZE_PX)
@@ -154,7 +154,7 @@ def test_causes_of_poor_recognition_are_reported(draw_types):
     assert "teach each colour as a separate type" in warning
 
 
-def test_what_is_rounder_than_its_examples_are_alike_is_a_disc(draw_types):
+def test_a_part_with_small_deviations_from_a_circle_is_a_disc(draw_types):
     def seed(number):
         rng, turn = np.random.default_rng(number), 2 * np.pi * np.arange(30) / 30
         waves = [np.cos(k * turn + rng.uniform(0, 2 * np.pi)) for k in (2, 3, 4, 5)]
@@ -185,7 +185,7 @@ def test_an_outline_with_too_many_corners_is_refused(draw_types):
         learn_type("gear", [example], calibrate_by_scale(2500.0))
 
 
-def test_types_that_look_alike_are_refused_and_may_be_merged(draw_types):
+def test_similar_types_are_refused_and_can_be_merged(draw_types):
     nut = learn_type("nut", [Example(picture(draw_types, "nut", 10))], HOME).part
     again = learn_type("nut_b", [Example(picture(draw_types, "nut", 11))], HOME).part
     with pytest.raises(TeachError, match=r"types nut_b and nut look alike: .* px, .* sizes"):

@@ -28,7 +28,7 @@ def test_first_names_from_left_to_right():
     assert np.all(parts.velocity == 0)
 
 
-def test_nothing_seen():
+def test_without_detections_there_are_no_parts():
     empty = (np.empty((0, 2)), [])
     for parts in follow([empty, empty]):
         assert parts.ids == ()
@@ -93,7 +93,7 @@ def test_choice_is_the_best_for_all():
     assert parts.position.tolist() == after
 
 
-def test_missed_parts_are_silent_and_keep_their_id():
+def test_missed_parts_are_not_published_and_keep_their_id():
     drift = np.array([0.04, 0.0])
     both = [(np.array([[0, 0], [0, 0.1]]) + k * DT * drift, ["black", "black"]) for k in range(12)]
     frames = [
@@ -128,7 +128,7 @@ def test_new_parts_get_new_numbers():
 
 
 @pytest.mark.parametrize("confirm", [1, 2, 3])
-def test_what_is_seen_too_seldom_is_no_part(confirm):
+def test_an_object_with_too_few_consecutive_detections_is_no_part(confirm):
     """Specks that come and go at one place: never in `confirm` images in a row."""
     empty = (np.empty((0, 2)), [])
     part, both = ([[0.0, 0.0]], ["grey"]), ([[0.0, 0.0], [0.1, 0.0]], ["grey", "grey"])
@@ -140,7 +140,7 @@ def test_what_is_seen_too_seldom_is_no_part(confirm):
 
 
 @pytest.mark.parametrize(("jump", "name"), [(0.0199, "grey_1"), (0.0201, "grey_2")])
-def test_gate(jump, name):
+def test_a_detection_beyond_the_gate_is_another_part(jump, name):
     options = TrackerOptions(gate_m=0.02, confirm=1)
     answers = follow([([[0, 0]], ["grey"]), ([[jump, 0]], ["grey"])], options)
     assert answers[1].ids == (name,)
@@ -241,7 +241,7 @@ def test_a_step_leaves_the_old_state_as_it_was():
     assert first.parts.ids == before.ids
 
 
-def test_a_long_pause_throws_nothing_away():
+def test_a_long_pause_loses_no_parts():
     """A part at rest is found again where it was, even though it drifted before."""
     tracker = update(Tracker(), 0.0, [[0.0, 0.0]], ["grey"])
     tracker = update(tracker, DT, [[0.0005, 0.0]], ["grey"])
@@ -289,7 +289,7 @@ def test_an_unknown_reason_is_refused():
         update(Tracker(), 0.0, [[0.0, 0.0]], ["grey"], overlooked=np.zeros(3))
 
 
-def test_what_is_of_no_class_is_counted_apart():
+def test_parts_without_a_class_are_counted_separately():
     def text(*labels):
         place = np.column_stack([np.arange(len(labels)) * 0.05, np.zeros(len(labels))])
         return found_text(update(Tracker(), 0.0, place, list(labels)))
@@ -300,7 +300,7 @@ def test_what_is_of_no_class_is_counted_apart():
     assert text() == "no parts"
 
 
-def test_a_thing_at_the_limit_of_sight_keeps_its_name():
+def test_an_object_at_the_detection_limit_keeps_its_id():
     """Its name is kept for longer than a part's: so it is published as soon as it is seen again."""
     tracker = Tracker(TrackerOptions(max_missed=5))
     place = np.array([[0.0, 0.0], [0.1, 0.0]])

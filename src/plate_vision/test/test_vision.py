@@ -97,7 +97,7 @@ def test_parts_have_the_stated_deviation(vision, draw, rng, noise, gap_px):
     assert np.all((seen[0].quality[:, 2] > 0.5) & (seen[0].quality[:, 2] <= 1))
 
 
-def test_how_a_part_over_the_edge_scatters_is_not_known(vision, draw, rng):
+def test_the_noise_of_a_part_over_the_edge_is_unknown(vision, draw, rng):
     corner = vision.region.outline_px.reshape(-1, 2).mean(axis=0)
     edge = [corner[0], float(vision.region.outline_px[..., 1].max()) - 3.0]
     tracker = observe(vision, Tracker(), draw([edge], ["black"], rng), 0.0)
@@ -105,7 +105,7 @@ def test_how_a_part_over_the_edge_scatters_is_not_known(vision, draw, rng):
     assert np.isnan(tracker.quality[0, 0])
 
 
-def test_nor_how_one_scatters_that_the_image_cuts_off(draw, rng):
+def test_the_noise_of_a_part_that_the_image_cuts_off_is_unknown(draw, rng):
     """Of a plate that reaches beyond the image."""
     corners = tuple(map(tuple, np.add(load_rig().camera.corners_px, [200.0, 0.0]).tolist()))
     rig = load_rig()
