@@ -135,9 +135,10 @@ def _show_progress(text: str) -> None:
 
 
 def _row_text(row: dict) -> str:
-    rms = "" if row["rms_error_m"] is None else f"  RMS {1e3 * row['rms_error_m']:.3f} mm"
+    # the error is 0 if parts can end at any position
+    rms = f"  RMS {1e3 * row['rms_error_m']:.3f} mm" if row["rms_error_m"] else ""
     if row["turn_error_deg"] is not None:
-        rms += f"  centre max {1e3 * row['max_error_m']:.3f} mm"
+        rms += f"  centre max {1e3 * row['max_error_m']:.3f} mm" if row["max_error_m"] else ""
         rms += f"  angle {row['turn_error_deg']:.2f} deg"
     remarks = "" if row["pace"] is None or row["pace"] > 0.995 else f"  pace {row['pace']:.2f}"
     remarks += "".join(
@@ -160,14 +161,14 @@ def _summary_text(rows: list[dict]) -> str:
         low, high = of_median([row["time_s"] for row in rows if row["success"]])
         text += f"; time median {all_runs['time_s']:.1f} s ({low:.1f} to {high:.1f})"
         text += f", maximum {all_runs['longest_s']:.1f} s"
-    if all_runs["rms_mm"] is not None:
+    if all_runs["rms_mm"]:
         text += (
             f"; RMS median {all_runs['rms_mm']:.3f} mm, maximum {all_runs['worst_rms_mm']:.3f} mm"
         )
     angles = [row["turn_error_deg"] for row in rows if row["turn_error_deg"] is not None]
     if angles:
-        text += f"; angle error median {np.median(angles):.2f} deg, maximum {max(angles):.2f} deg; "
-        text += f"centre error maximum {all_runs['max_mm']:.3f} mm"
+        text += f"; angle error median {np.median(angles):.2f} deg, maximum {max(angles):.2f} deg"
+        text += f"; centre error maximum {all_runs['max_mm']:.3f} mm" if all_runs["max_mm"] else ""
     return text
 
 

@@ -94,6 +94,16 @@ def test_closed_loop_writes_a_row_for_each_run(runs):
         assert row["limit_share_max"] <= 1
 
 
+def test_no_distance_is_printed_if_parts_can_end_at_any_position(runs):
+    row = runs[0][0] | {"rms_error_m": 0.0, "max_error_m": 0.0, "turn_error_deg": 1.2}
+    for text in (closed_loop._row_text(row), closed_loop._summary_text([row])):
+        assert "mm" not in text
+        assert "1.20 deg" in text
+    row["max_error_m"] = 0.001
+    assert "1.000 mm" in closed_loop._row_text(row)
+    assert "1.000 mm" in closed_loop._summary_text([row])
+
+
 def test_seeds_differ(runs):
     first, second = without_timings(runs[0])
     assert first["rms_error_m"] != second["rms_error_m"]
