@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import yaml
 
@@ -133,12 +134,21 @@ def lesson_text(lesson: Lesson) -> str:
     symmetry = {0: "", 1: ", no symmetry"}.get(
         part.symmetry, f", symmetry of order {part.symmetry}"
     )
-    mean, sd = 1e3 * lesson.size_m
+    mean, sd = lesson.size_m
     return (
-        f"{part.name}: {corners}{holes}{symmetry}; diameter {mean:.2f} +- {sd:.2f} mm, outline "
-        f"+- {1e3 * part.scatter_m:.2f} mm, colour {colour_text(part)}; from {lesson.count} "
-        f"example{'s' if lesson.count > 1 else ''}"
+        f"{part.name}: {corners}{holes}{symmetry}; {extent_text(part)} +- {100 * sd / mean:.1f} %, "
+        f"outline +- {1e3 * part.scatter_m:.2f} mm, colour {colour_text(part)}; from "
+        f"{lesson.count} example{'s' if lesson.count > 1 else ''}"
     )
+
+
+def extent_text(part: PartType) -> str:
+    """Return the dimensions of a type as text: its diameter, or the sides of the smallest rectangle
+    around it."""
+    if part.radius_m:
+        return f"diameter {2e3 * part.radius_m:.2f} mm"
+    width, length = sorted(cv2.minAreaRect(np.array(part.outline, np.float32))[1])
+    return f"{1e3 * length:.2f} x {1e3 * width:.2f} mm"
 
 
 def colour_text(part: PartType) -> str:

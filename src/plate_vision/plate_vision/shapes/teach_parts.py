@@ -22,7 +22,15 @@ from ..camera import read_pictures, rig_of_picture
 from ..errors import TeachError, check_size
 from ..recognition import calibrate_by_scale
 from ..vision import make_vision
-from .part_files import OUT, add_type, colour_text, lesson_text, load_bare, save_part_types
+from .part_files import (
+    OUT,
+    add_type,
+    colour_text,
+    extent_text,
+    lesson_text,
+    load_bare,
+    save_part_types,
+)
 from .teaching import Example, drawing_file_name, merge_types, type_differences
 
 COMMANDS = ("list", "merge", "rename", "delete")
@@ -216,11 +224,10 @@ def _find_type(types: dict[str, PartType], name: str, path: Path) -> PartType:
 
 def _list(args: argparse.Namespace) -> None:
     for part in load_part_types(args.out).values():
-        size = 2e3 * np.sqrt(part.area_m2 / np.pi)
         corners = "disc" if part.radius_m else f"{len(part.outline)} corners"
         print(
             f"{part.name}: {corners}, {len(part.holes)} holes, symmetry {part.symmetry}, "
-            f"diameter {size:.2f} mm, colour {colour_text(part)}"
+            f"{extent_text(part)}, colour {colour_text(part)}"
         )
 
 
