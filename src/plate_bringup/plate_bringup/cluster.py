@@ -156,7 +156,8 @@ class Cluster(Executor):
             if self._ending.is_set():
                 return
             self._ending.set()
-        for result in list(self._calls):
+        # The newest runs first: they wait, and begin if an older run ends before they are canceled.
+        for result in reversed(list(self._calls)):
             result.cancel()
         with self._lock:
             _close(self._client)
@@ -245,11 +246,13 @@ class Cluster(Executor):
         )
         _close(self._client)
         end, reason = time.monotonic() + RETURN_S, ""
-        while time.monotonic() < end and not self._ending.wait(POLL_S):
+        while not self._ending.wait(POLL_S):
             try:
                 client = _connect(self._address)
             except PlateError as problem:
                 reason = f"; {problem}"
+                if time.monotonic() > end:  # at least one attempt, also after a standby
+                    break
                 continue
             with self._lock:
                 if self._ending.is_set():
@@ -306,7 +309,7 @@ class Cluster(Executor):
         for name in paused - self._paused:
             self._tell(f"worker {name} receives no runs until it has more free memory")
         self._paused = paused
-        if self._waits != (waits := not accepted and all(self._refusals.values())):
+        if self._waits != (waits := not accepted and all(list(self._refusals.values()))):
             self._waits = waits
             if waits:
                 advice = f"start one: dask worker {self._address} --nthreads 1"
