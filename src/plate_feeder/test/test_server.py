@@ -150,8 +150,9 @@ def test_a_client_that_disconnects_while_it_waits_is_reported(stub):
     answer(Code.DONE, "too late")
 
 
-def test_a_client_that_only_sends_is_still_answered(robot):
+def test_a_client_that_only_sends_is_still_answered(robot, monkeypatch):
     """`printf 'state\\n' | nc localhost 7171`"""
+    monkeypatch.setattr(module, "LAST_S", LONG_S)
     robot.send(b"state\nhelp\n")
     robot.socket.shutdown(socket.SHUT_WR)
     assert [line[:4] for line in robot.lines()] == 2 * [b"200 "]
@@ -170,10 +171,11 @@ def test_an_incomplete_line_is_refused_after_a_timeout(stub, robot, monkeypatch)
 
 
 def test_a_silent_client_is_disconnected_after_a_long_time(stub, monkeypatch):
-    monkeypatch.setattr(module, "IDLE_S", 0.3)
-    waiting, silent = stub.connect(), stub.connect()
+    waiting = stub.connect()
+    assert waiting.say("state").startswith(b"200 ")
+    monkeypatch.setattr(module, "IDLE_S", 0.3)  # after the next line of this client
     waiting.send(b"get_part\n")
-    assert silent.line() == b""
+    assert stub.connect().line() == b""
     time.sleep(0.5)
     stub.waiting.pop()[1](Code.DONE, "a part")  # that one was not silent: it waited
     assert waiting.line() == b"200 a part\r\n"

@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import json
 import socket
+import threading
 import time
 
 import pytest
@@ -56,13 +57,20 @@ async def answer(connection, number):
 
 def test_commands_during_a_standstill_are_refused_except_stops(server, taken):
     server._standstill.max_s = 0.2
+    stalled, go_on = threading.Event(), threading.Event()
+
+    def stall():
+        stalled.set()
+        go_on.wait(TIMEOUT_S)
 
     async def talk():
         connection = await opened(server)
-        server._loop.call_soon_threadsafe(time.sleep, 0.6)
-        await asyncio.sleep(0.1)
+        server._loop.call_soon_threadsafe(stall)
+        assert stalled.wait(TIMEOUT_S)
         for number, name in enumerate(("learn_plate", "emergency_stop", "cancel")):
             await connection.write_message(json.dumps({"do": name, "number": number}))
+        time.sleep(0.3)
+        go_on.set()
         assert not (await answer(connection, 0))["ok"]
         assert "stalled" in (await answer(connection, 2))["text"]
         assert taken == ["emergency_stop"]
