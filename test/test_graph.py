@@ -307,7 +307,8 @@ def test_a_task_does_not_begin_after_a_stop_by_another_client(tmp_path):
         assert not record.ready
         record.status = None
         observer.change_state("driver", "configure")
-        observer.trigger("emergency_stop")
+        with contextlib.suppress(GraphError):  # on a busy computer, the device confirms it later
+            observer.trigger("emergency_stop")
         assert observer.until(lambda: record.driver.reason == DriverStatus.EMERGENCY_STOP, 10)
         with pytest.raises(GraphError, match="began, driver: inactive: emergency stop; look at"):
             graph.begin()

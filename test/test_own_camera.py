@@ -34,6 +34,7 @@ PICTURES = 20
 """That differ: the film shows them again and again."""
 
 MAX_S = 300
+TRIES = 6
 
 
 def film(folder):
@@ -69,11 +70,17 @@ def test_a_film_is_seen_answered_and_sent_but_no_task_is_done(tmp_path):
     words = ["--rig", tmp_path / "rig.yaml", "--camera", tmp_path / "film.mp4"]
     words += ["--scenario", tmp_path / "short.yaml", "--out", tmp_path / "out"]
     words += ["--no-view", "--no-pictures"]
-    done = subprocess.run(
-        [sys.executable, "tools/demo.py", *map(str, words)],
-        cwd=ROOT, capture_output=True, text=True, timeout=MAX_S, check=False,
-    )  # fmt: skip
+    for _ in range(TRIES):
+        done = subprocess.run(
+            [sys.executable, "tools/demo.py", *map(str, words)],
+            cwd=ROOT, capture_output=True, text=True, timeout=MAX_S, check=False,
+        )  # fmt: skip
+        # On a busy computer the driver may send nothing for 0.25 s before the task begins, and the
+        # device then stops the motors.
+        if "host silent" not in done.stderr:
+            break
     assert done.returncode == 1, done.stdout + done.stderr
+    assert not done.stderr, done.stderr
     before, after = done.stdout.split("\nStarting ")
     assert "\n  - corners: corners_px are unchanged " in before
     assert "lens:" not in before
