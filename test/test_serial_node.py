@@ -325,10 +325,11 @@ def test_cycles_reach_the_board_and_telemetry_the_graph(bench):
     bench.send_until(lambda: sum(msg_to_cycle(s).knot_pose.any() for s in bench.starts) > 1)
     begins = np.array([nanoseconds(s.header.stamp) for s in bench.starts])
     moved = np.array([msg_to_cycle(s).knot_pose.any() for s in bench.starts])
-    assert np.all(np.diff(begins) > 0)
     assert not moved[0]
     # On a busy computer, a stop shifts the starts, and so does a board whose clock stalls. If a
     # cycle arrives late, the plate rests before this cycle.
+    if board.lost == lost:
+        assert np.all(np.diff(begins) > 0)
     if board.count(Enable) == 1 and board.lost == lost:
         steps = np.diff(begins)[moved[1:] & moved[:-1]] * 1e-9 / PERIOD
         assert np.all(np.abs(steps - np.round(steps)) < 0.1), steps
