@@ -1,5 +1,6 @@
 """The live page in a browser, with the real graph behind it."""
 
+import re
 import signal
 
 import pytest
@@ -132,6 +133,10 @@ def test_a_path_that_is_drawn_is_followed(page):
     follow.click()
     wait_for(page, "known.task.task === 'follow' && known.task.state === 'done'")
     wait_for(page, near("grey_2", *end, 0.004))  # a path has a point each 4 mm
+    page.get_by_role("tab", name="Task").click()
+    figures = page.locator("dl.figures:visible").inner_text()
+    assert re.search(r"error, max\s+[0-9.]+ mm", figures), figures
+    assert re.search(r"angle error\s+\u2013", figures), figures  # this task has no angles
 
 
 def test_the_space_bar_stops_and_twice_too(page):

@@ -3,16 +3,16 @@
 import { known, on } from "../bus.js";
 import { degrees, el, mm, seldom, setText } from "../dom.js";
 
-/** Labels for the progress of a task: [name, label]. */
+/** Labels for the progress of a task: [name, label]. An error of 0 was not measured in this kind of task. */
 const PROGRESS = [
   ["time", ({ time_s }) => (Number.isFinite(time_s) ? `${time_s.toFixed(1)} s` : null)],
   ["parts seen", ({ parts_seen, parts_total }) => `${parts_seen} of ${parts_total}`],
   ["in place", ({ parts_sorted, parts_total }) => `${parts_sorted} of ${parts_total}`],
   ["to go", ({ to_go_m }) => `${mm(to_go_m)} mm`],
-  ["error, rms", ({ rms_error_m }) => `${mm(rms_error_m, 2)} mm`],
-  ["error, max", ({ max_error_m }) => `${mm(max_error_m, 2)} mm`],
-  ["angle error", ({ turn_error }) => `${degrees(turn_error, 1)}\u00b0`],
-  ["pace", ({ pace }) => (Number.isFinite(pace) ? pace.toFixed(2) : null)],
+  ["error, rms", ({ rms_error_m }) => (rms_error_m ? `${mm(rms_error_m, 2)} mm` : null)],
+  ["error, max", ({ max_error_m }) => (max_error_m ? `${mm(max_error_m, 2)} mm` : null)],
+  ["angle error", ({ turn_error }) => (turn_error ? `${degrees(turn_error, 1)}\u00b0` : null)],
+  ["pace", ({ pace, max_error_m }) => (max_error_m && Number.isFinite(pace) ? pace.toFixed(2) : null)],
 ];
 
 export function tasks(panel, execute) {
