@@ -65,6 +65,9 @@ PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER = 1, 36
 when its parent ends. With `PR_SET_CHILD_SUBREAPER`, descendants whose parent has ended become
 children of this process."""
 
+PF_EXITING = 4
+"""Flag of a process that ends, from linux/sched.h."""
+
 BEAT = b"."
 """Byte that the forked process sends to the supervisor before each decision of the agent."""
 
@@ -277,7 +280,8 @@ class Episode:
         """Return a text that describes how the forked process ended. If the process has not ended,
         the text states that its reply was invalid."""
         # try several times, because the pipe closes slightly before the process ends
-        for _ in range(10):
+        tries = 10
+        while tries:
             if state := _has_ended(child):
                 if state.si_code == os.CLD_EXITED:
                     return f"died: it exited with code {state.si_status} before its last step"
@@ -285,6 +289,7 @@ class Episode:
                 known = number in set(signal.Signals)
                 name = signal.Signals(number).name if known else f"signal {number}"
                 return f"died: it was ended by {name}"
+            tries -= not _is_ending(child)
             time.sleep(0.1)
         return "closed its pipe, or sent no valid reply"
 
@@ -358,6 +363,16 @@ def _print(data: bytes) -> None:
 def _has_ended(child: int) -> os.waitid_result | None:
     """Return how a child process ended, or None if it has not ended."""
     return os.waitid(os.P_PID, child, os.WEXITED | os.WNOHANG | os.WNOWAIT)
+
+
+def _is_ending(process: int) -> bool:
+    """Return whether Linux already ends a process (its flag PF_EXITING). On a busy computer, this
+    can take seconds."""
+    try:
+        fields = Path(f"/proc/{process}/stat").read_bytes().rpartition(b")")[2].split()
+    except OSError:
+        return False
+    return bool(int(fields[6]) & PF_EXITING)
 
 
 def _descendants() -> Iterator[int]:

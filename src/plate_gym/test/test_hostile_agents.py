@@ -25,7 +25,7 @@ def bench():
 
 
 HOSTILE = """
-import ctypes, json, os, signal, subprocess, sys, time
+import ctypes, json, os, signal, subprocess, sys, threading, time
 from pathlib import Path
 
 from plate_gym.result import ROW
@@ -70,6 +70,15 @@ class Group(Base):
     def do(self): os.kill(0, signal.SIGKILL); time.sleep(1e6)
 class Closes(Base):
     def do(self): os.closerange(0, 1000)
+class EndsSlowly(Base):  # as on a busy computer: its main thread ends 2 s before the other one
+    def do(self):
+        def end():
+            time.sleep(0.2)
+            os.close(3)
+            time.sleep(2.0)
+            os._exit(7)
+        threading.Thread(target=end).start()
+        ctypes.CDLL(None).syscall(60, 0)
 class Forges(Base):
     def do(self): os.write(3, b'{"row": {}}\\n'); time.sleep(1e6)
 class Fills(Base):
@@ -186,6 +195,7 @@ def printed(bench, capfd):
         ("Parent", "its supervisor failed: it has ended$"),
         ("Group", "step 0: its process died: it was ended by SIGKILL$"),
         ("Closes", "step 0: its process died: it exited with code 0 before its last step$"),
+        ("EndsSlowly", "step 0: its process died: it exited with code 7 before its last step$"),
         ("Forges", " has , allowed: time_s, "),
         ("OtherSeed", "seed of the row is 4, allowed: 3$"),
         ("Negative", ": start_ms is -1.0, allowed: 0 or more$"),
