@@ -10,6 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from importlib.machinery import PathFinder
 from pathlib import Path
+from threading import Event
 
 import pytest
 
@@ -28,10 +29,17 @@ def refuse(seconds, value):
 
 
 def test_results_come_with_their_index_as_they_are_done():
-    notes = []
-    work = [(0.4, "a"), (0.0, "b"), (0.2, "c"), (0.0, "d")]
+    notes, results, others_are_here = [], [], Event()
+
+    def run(value):
+        assert value != "a" or others_are_here.wait(60)
+        return value
+
     with ThreadPoolExecutor(4) as workers:
-        results = list(parallel(workers, late, work, notes.append))
+        for result in parallel(workers, run, [*"abcd"], notes.append):
+            results.append(result)
+            if len(results) == 3:
+                others_are_here.set()
     assert sorted(results) == list(enumerate("abcd"))
     assert results[-1] == (0, "a")
     assert [note.split(" runs")[0] for note in notes] == [f"{i} of 4" for i in (1, 2, 3, 4)]
@@ -47,13 +55,18 @@ def test_a_refused_run_is_reported_and_ends_the_work():
 
 
 def test_remaining_work_is_not_started_after_the_results_are_closed():
-    started = []
+    started, closed = [], Event()
+
+    def run(number):
+        started.append(number)
+        assert number == 0 or closed.wait(60)
+
     with ThreadPoolExecutor(1) as workers:
-        work = [(0.01, i) for i in range(50)]
-        results = parallel(workers, lambda s, i: started.append(late(s, i)), work)
+        results = parallel(workers, run, [(number,) for number in range(50)])
         next(results)
         results.close()
-    assert 1 <= len(started) < 50
+        closed.set()
+    assert started in ([0], [0, 1])
 
 
 def test_an_interrupted_measurement_can_be_continued(tmp_path):
