@@ -76,8 +76,8 @@ def test_a_film_is_seen_answered_and_sent_but_no_task_is_done(tmp_path):
             cwd=ROOT, capture_output=True, text=True, timeout=MAX_S, check=False,
         )  # fmt: skip
         # On a busy computer the driver may send nothing for 0.25 s before the task begins, and the
-        # device then stops the motors.
-        if "host silent" not in done.stderr:
+        # device then stops the motors. Or all first cycles are late, and the task does not begin.
+        if not any(text in done.stderr for text in ("host silent", "the task never began")):
             break
     assert done.returncode == 1, done.stdout + done.stderr
     assert not done.stderr, done.stderr
