@@ -25,7 +25,7 @@ from visualization_msgs.msg import MarkerArray
 
 from plate_core import CycleRequest, PlateError, load_rig
 from plate_core import Parts as CoreParts
-from plate_core.clock_steps import ClockSteps, read_together
+from plate_core.clock_steps import KEPT_S, ClockSteps, read_together
 from plate_core.driver_status import DriverState
 from plate_core.ros import (
     CALLS,
@@ -412,8 +412,11 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         stalled = self._check_stall()  # also updates the record of clock steps
         # The cycle may have begun without a new image. Therefore check whether the last image is
         # too old.
-        age_ns = nanoseconds(stamp) - self._clock_steps.earliest_ns(nanoseconds(self._stamp))
-        old = 1e-9 * age_ns > age_limit(self._tasks.estimator.period)
+        seen_ns = nanoseconds(self._stamp)
+        earliest_ns = self._clock_steps.earliest_ns(seen_ns)
+        old = 1e-9 * (nanoseconds(stamp) - earliest_ns) > age_limit(self._tasks.estimator.period)
+        if old and earliest_ns < seen_ns:
+            self._report_clock_step(1e-9 * (seen_ns - earliest_ns))
         if stalled or self._monitor.second_publishers() or old:
             request = NOTHING  # request no motion, because the positions may be wrong or outdated
         self._publish_request(request, stamp, to_time(round(1e9 * run.state.estimator.next_start)))
@@ -426,6 +429,15 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             # In lockstep, the task may end before the next periodic diagnostics, so publish the
             # progress now.
             self._diagnostics.publish()
+
+    def _report_clock_step(self, set_back_s: float) -> None:
+        """Warn that the plate rests because the clock was set back by `set_back_s` [s]. If the rest
+        is longer than the input timeout, end the task."""
+        rest_s = min(set_back_s, KEPT_S)
+        text = f"the computer's clock was set back, so the plate rests for about {rest_s:.1f} s"
+        self._warn(text)
+        if rest_s > self.options.input_timeout_s:
+            self._end_task(Failure(Reason.NO_PARTS, f"{text}; then start the task again"))
 
     def _publish_request(
         self, request: CycleRequest, stamp: Time, start: Time | None = None

@@ -106,16 +106,24 @@ def test_an_image_from_before_the_clock_was_set_back_is_as_old_as_it_may_be(grap
 
     show()
     begin(-0.5)
-    graph.send(SORT_4)
+    handle = graph.send(SORT_4)
     show()
     assert begin(0) == 4
     show()
     assert begin(0.5) == 4
     graph.clock.steady_ahead_s = 0.3
     assert begin(2) == 0  # 0.3 s old, or 0.6 s
+    assert "set back, so the plate rests for about 0.3 s" in graph.planner._health.refusal
     graph.clock.step(0.5)
     show()
     assert begin(0) == 4
+    for ahead_s, k in ((1.3, 2), (2.3, 3)):  # the rest is longer than the input timeout
+        graph.clock.steady_ahead_s = ahead_s
+        show()
+        assert begin(k) == 0
+    status = graph.until_ended(handle, lambda _: graph.executor.settle())
+    assert status.reason == TaskStatus.NO_PARTS
+    assert "clock was set back, so the plate rests for about 2.0 s; then start" in status.text
 
 
 def test_a_task_from_goal_to_done(graph):
