@@ -7,7 +7,7 @@ import pytest
 from harness.result import TEXTS
 from plate_bringup.loop import Setup, with_settings, with_setup_camera
 from plate_core import load_rig
-from plate_core.rig import camera_place, camera_pose, to_image
+from plate_core.rig import camera_pose, camera_position, to_image
 from plate_core.tasks import load_scenario
 from stages.cameras import BY_NAME, DISCS, KINDS, TYPED, draw_scene, row_of, scene
 from tasks.views import SCENARIOS, SCENES
@@ -49,7 +49,7 @@ def test_discs_are_at_the_places_of_the_scene(name):
 
 def test_high_parts_are_seen_farther_out():
     one = scene("20 mm high, 0.43 m", 3)
-    x, y, above = camera_place(one.rig)
+    x, y, above = camera_position(one.rig)
     assert above == pytest.approx(0.43, abs=1e-6)
     assert one.rig.parts.height_m == 0.02
     middle = np.array([x, y])

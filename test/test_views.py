@@ -7,7 +7,7 @@ import pytest
 from plate_bringup.loop import Setup, with_settings, with_setup_camera
 from plate_bringup.views import MARGIN_PX, view_from, with_height
 from plate_core import PlateError, load_rig
-from plate_core.rig import camera_place, rig_warnings
+from plate_core.rig import camera_position, rig_warnings
 
 
 @pytest.mark.parametrize(("tilt", "towards"), [(0, 0), (25, 0), (25, 180), (40, -90), (15, 70)])
@@ -19,7 +19,7 @@ def test_the_camera_is_where_it_is_set(tilt, towards, distortion):
     )  # fmt: skip
     a, b = np.radians([tilt, towards])
     position = 0.9 * np.array([np.sin(a) * np.cos(b), np.sin(a) * np.sin(b), np.cos(a)])
-    assert np.allclose(camera_place(rig), position, atol=1e-9)
+    assert np.allclose(camera_position(rig), position, atol=1e-9)
     # OpenCV's camera there, whose rows look as its axis x without a part along z of plate_home.
     ahead = -position / 0.9
     right = np.array([1.0, 0, 0]) - ahead[0] * ahead

@@ -20,10 +20,6 @@ LINES = (92, 128)
 """Bytes that arrive per tick: the number at 921,600 baud, and the maximum number that the firmware
 reads in a tick."""
 
-MAX_INSTRUCTIONS = 42_000
-"""Maximum allowed number of instructions per tick. At one instruction per clock cycle of 168 MHz,
-these instructions take a quarter of 1 ms."""
-
 
 def measure(quick: bool) -> Result:
     """Commit tables of all sizes while another table plays. Then send malformed packets at the

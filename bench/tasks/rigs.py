@@ -86,7 +86,7 @@ def predicted(rig: Rig, scenario: str) -> dict[str, Any]:
     return {
         "feasible": "likely" if verdict.likely else "not likely",
         "feasible_s": verdict.time_s if np.isfinite(verdict.time_s) else None,
-        "binds": verdict.limit_use.binds,
+        "binds": verdict.limit_use.binding_limit,
     }
 
 

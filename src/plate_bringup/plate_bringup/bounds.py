@@ -68,7 +68,7 @@ class SpeedBounds(NamedTuple):
         return min(self)
 
     @property
-    def binds(self) -> str:
+    def binding_limit(self) -> str:
         """Name of the limit that produces the smallest bound."""
         return self._fields[self.index(self.minimum)]
 

@@ -105,7 +105,7 @@ def one_part_line(rig: Rig) -> str:
     bounds = speed_bounds(rig, PERIOD_S)
     return (
         f"one part on a line: periodic motions of {PERIOD_S:g} s give it a mean speed of at most "
-        f"{1e3 * bounds.minimum:.0f} mm/s (limited by {bounds.binds}, see docs/model.md); "
+        f"{1e3 * bounds.minimum:.0f} mm/s (limited by {bounds.binding_limit}, see docs/model.md); "
         f"{1e3 * DISTANCE_M:.0f} mm from rest to rest take at least "
         f"{rest_to_rest_s(DISTANCE_M, rig.friction.accel):.2f} s"
     )
@@ -152,10 +152,10 @@ def part_count_table(rig: Rig) -> tuple[list[str], bool]:
             lines.append(f"  {count:2d} part{'s' * (count > 1)}: do not fit on this plate")
             continue
         moved = moved or verdict.speed > STILL
-        binds = verdict.limit_use.binds
+        binding = verdict.limit_use.binding_limit
         lines.append(
             f"  {count:2d} part{'s' if count > 1 else ' '}  {1e3 * verdict.speed:33.0f}   "
-            f"{binds}, {100 * max(verdict.limit_use):.0f} % of {KEYS[binds]}"
+            f"{binding}, {100 * max(verdict.limit_use):.0f} % of {KEYS[binding]}"
         )
     lines.append(
         "to estimate the duration of a task, use --scenario NAME"
@@ -187,13 +187,13 @@ def _used_limits_text(verdict: Verdict) -> str:
     """Return a line about the used fractions of the rig's limits."""
     use = verdict.limit_use
     used = ", ".join(f"{name} {100 * value:.0f} %" for name, value in use._asdict().items())
-    return f"used fractions of the rig's limits: {used}; {KEYS[use.binds]} is used most"
+    return f"used fractions of the rig's limits: {used}; {KEYS[use.binding_limit]} is used most"
 
 
 def advice_for(rig: Rig, verdict: Verdict) -> str:
     """Return advice: the changes that would make the task likely to succeed."""
-    binds = verdict.limit_use.binds
-    advice = f"the most used limit is {binds} ({KEYS[binds]}); fewer parts may help"
+    binding = verdict.limit_use.binding_limit
+    advice = f"the most used limit is {binding} ({KEYS[binding]}); fewer parts may help"
     if rig.gamma < MIN_GAMMA:
         advice = f"{weak_plate_text(rig)}, or fewer parts"
     if np.isfinite(verdict.time_s) and not any(rehearsal.lost for rehearsal in verdict.rehearsals):

@@ -462,7 +462,7 @@ class Direct:
         self.now = min(until, end)
         if self.now == end:
             self._timeline = self._timeline.next()
-        return [played if is_complete else PlateMotion.piece(played, begin, stop)]
+        return [played if is_complete else PlateMotion.section(played, begin, stop)]
 
 
 def run(

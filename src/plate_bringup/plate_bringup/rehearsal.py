@@ -63,7 +63,7 @@ class LimitUse(NamedTuple):
     heat: float = 0.0
 
     @property
-    def binds(self) -> str:
+    def binding_limit(self) -> str:
         """Name of the limit with the largest used fraction."""
         return self._fields[int(np.argmax(self))]
 

@@ -60,7 +60,7 @@ def test_a_weak_rig_is_unlikely_to_finish_the_task(monkeypatch):
     verdict = rehearse_task(shaken(1.2), load_scenario("follow_2"), 1)
     assert not verdict.likely
     assert verdict.speed < RIG.friction.accel * 0.1 / 16 * (1.2 - 1 / 1.2)
-    assert verdict.limit_use.binds == "acceleration"
+    assert verdict.limit_use.binding_limit == "acceleration"
 
 
 TO_GO_M = [0.0, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3]
@@ -110,7 +110,7 @@ def test_a_lower_acceleration_limit_lengthens_the_task():
 
 def test_a_short_stroke_is_reported_as_the_limit():
     rig = replace(RIG, limits=replace(RIG.limits, stroke_m=0.001))
-    assert rehearse(rig, with_few("sort_4"), 0).limit_use.binds == "stroke"
+    assert rehearse(rig, with_few("sort_4"), 0).limit_use.binding_limit == "stroke"
 
 
 def test_a_rehearsal_keeps_the_limits():

@@ -114,7 +114,7 @@ class Input:
         """Time since the last message, or since the subscription if no message has arrived [s]."""
         return now - (self.since if self.arrival is None else self.arrival)
 
-    def timed_out(self, now: float) -> Finding | None:
+    def timeout_finding(self, now: float) -> Finding | None:
         """Return a STALE finding if the input has timed out, otherwise None."""
         age = self.age(now)
         if age <= self.timeout_s:

@@ -10,8 +10,8 @@ from plate_core import RigError, load_rig
 from plate_core.rig import (
     LENS_MODELS,
     Lens,
-    camera_place,
     camera_pose,
+    camera_position,
     homography,
     lens_of_matrix,
     project,
@@ -248,7 +248,7 @@ def rig_seen_from(tilt_deg, about_deg, height=0.8, focal=900.0, roll_deg=3.0, **
 @pytest.mark.parametrize("lens", LENSES)
 def test_place_with_a_lens(lens):
     """The centre of projection is -R^T t of OpenCV's pose."""
-    position = camera_place(rig_with(lens))
+    position = camera_position(rig_with(lens))
     assert np.allclose(position, -cv2.Rodrigues(TURN)[0].T @ PLACE, atol=1e-9)
 
 
@@ -256,24 +256,24 @@ def test_place_with_a_lens(lens):
 @pytest.mark.parametrize("tilt", [0, 1, 15, 30, 44])
 def test_place_by_height_alone(tilt, about):
     rig, position, _ = rig_seen_from(tilt, about, height_m=0.8)
-    assert np.allclose(camera_place(rig), position, atol=1e-6)
+    assert np.allclose(camera_position(rig), position, atol=1e-6)
 
 
 @pytest.mark.parametrize("about", [0, 50, 90, 200])
 @pytest.mark.parametrize("tilt", [25, 35, 55])
 def test_place_by_perspective_alone(tilt, about):
     rig, position, _ = rig_seen_from(tilt, about)
-    assert np.allclose(camera_place(rig), position, atol=1e-6)
+    assert np.allclose(camera_position(rig), position, atol=1e-6)
     lens = Lens((900.0, 900.0), (319.5, 239.5))
     known = replace(rig, camera=replace(rig.camera, lens=lens))
-    assert np.allclose(camera_place(known), position, atol=1e-9)
+    assert np.allclose(camera_position(known), position, atol=1e-9)
 
 
 @pytest.mark.parametrize(("tilt", "height"), [(0, 0.8), (4, 0.8), (10, 5.0)])
 def test_without_perspective_the_camera_position_is_unknown(tilt, height):
     """A camera straight above, nearly so, or far away: a pixel of a corner decides."""
     rig, _, _ = rig_seen_from(tilt, 30, height, focal=900 * height / 0.8)
-    assert camera_place(rig) is None
+    assert camera_position(rig) is None
 
 
 def test_place_gives_the_parallax_of_opencv():
@@ -285,7 +285,7 @@ def test_place_gives_the_parallax_of_opencv():
     above = np.column_stack([points, np.full(50, 0.012)])
     vector = cv2.Rodrigues(rotation)[0]
     seen = cv2.projectPoints(above, vector, translation, matrix, np.zeros(5))[0][:, 0]
-    x, y, height = camera_place(rig)
+    x, y, height = camera_position(rig)
     middle = np.array([x, y])
     shifted = middle + (points - middle) * height / (height - 0.012)
     assert np.abs(to_image(rig, shifted) - seen).max() < 1e-3

@@ -27,14 +27,14 @@ def test_the_worst_of_several_findings_counts_and_all_are_reported():
 
 def test_an_input_times_out_with_and_without_a_first_message():
     topic = Input("image", "image_raw", "check that the camera runs", 1.5, since=10.0)
-    assert topic.timed_out(11.5) is None
-    assert topic.timed_out(11.6) == Finding(
+    assert topic.timeout_finding(11.5) is None
+    assert topic.timeout_finding(11.6) == Finding(
         Level.STALE, "no image yet on image_raw; check that the camera runs"
     )
     topic = topic.received(20.0)
-    assert topic.timed_out(21.5) is None
+    assert topic.timeout_finding(21.5) is None
     assert topic.age(21.0) == 1.0
-    assert topic.timed_out(22.1) == Finding(
+    assert topic.timeout_finding(22.1) == Finding(
         Level.STALE, "no image for 2.1 s on image_raw; check that the camera runs"
     )
 

@@ -59,8 +59,8 @@ from .transports import (
     TransportContext,
     TransportThread,
     check_transport,
+    high_priority,
     make_transport,
-    urgent,
 )
 
 WATCH_PERIOD_S = 0.02
@@ -177,7 +177,8 @@ class DriverNode(SafeLifecycleNode[Options]):
         self._diagnostics = Diagnostics(
             self, self._diagnose, self._diagnostic_values, lambda: "plate", self._report.reported
         )
-        with urgent():  # the threads of this node's DDS participant inherit the high priority
+        # the threads of this node's DDS participant inherit the high priority
+        with high_priority():
             self._safety = SafetyNode(self, self.transports, self.latch, lambda: self.status)
 
     @property

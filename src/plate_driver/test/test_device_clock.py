@@ -59,8 +59,8 @@ def conversation(way, device, seconds, rng):
 
 def after_message(clock, now, message):
     if isinstance(message, Pulse):
-        return clock.received(message, now)
-    return clock.stamped(message, now)
+        return clock.after_pulse(message, now)
+    return clock.after_telemetry(message, now)
 
 
 WAYS = [
@@ -158,20 +158,20 @@ def test_the_clock_is_right_to_half_the_round_trip():
     clock, offset = DeviceClock(), -77.0  # host less device
     for sent, there, back in [(1.0, 0.010, 0.002), (1.1, 0.001, 0.003), (1.2, 0.050, 0.0)]:
         device_us = round((sent + there - offset) * 1e6)
-        clock = clock.received(Pulse(round(sent * 1e9), device_us), sent + there + back)
+        clock = clock.after_pulse(Pulse(round(sent * 1e9), device_us), sent + there + back)
     assert clock.host_time(0) == pytest.approx(offset, abs=0.001)
     assert clock.latest - clock.earliest < 0.003
     # A pulse from the future belongs to no heartbeat.
-    assert clock.received(Pulse(9_000_000_000, 0), 8.5) == clock
+    assert clock.after_pulse(Pulse(9_000_000_000, 0), 8.5) == clock
 
 
 def test_a_clock_without_pulses_is_rejected():
-    clock = DeviceClock().stamped(5_000_000, 1.0)
+    clock = DeviceClock().after_telemetry(5_000_000, 1.0)
     assert not clock.known
-    clock = clock.received(Pulse(1_000_000_000, 5_001_000), 1.002)
+    clock = clock.after_pulse(Pulse(1_000_000_000, 5_001_000), 1.002)
     assert clock.rejection(1.01) == ""
     later = 1.01 + PULSE_AGE_S
-    clock = clock.stamped(round((4.0 + later) * 1e6), later)
+    clock = clock.after_telemetry(round((4.0 + later) * 1e6), later)
     assert clock.rejection(later).endswith("for 5 s")
 
 

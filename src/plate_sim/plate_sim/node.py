@@ -476,7 +476,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         if begin == 0 and end_ns == self._next_ns:
             self._simulation.run(motion)
         elif end > begin:
-            self._simulation.run(PlateMotion.piece(motion, begin, min(end, motion.period)))
+            self._simulation.run(PlateMotion.section(motion, begin, min(end, motion.period)))
         self._moved_ns = max(end_ns, self._moved_ns)
 
     def _on_alarm(self) -> None:
@@ -728,7 +728,8 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         `plate_core.status`)."""
         tally, dropped = self._tally, self._simulation.dropped
         findings = [used("tables", tally.tables, tally.refused, tally.why)]
-        silent, fine = self._input.timed_out(now), "all parts on the plate, all cycles on time"
+        silent = self._input.timeout_finding(now)
+        fine = "all parts on the plate, all cycles on time"
         if silent and self._driver is not None and self._driver.state not in PLAYING:
             silent, fine = None, f"the plate rests, driver: {self._driver.text}"
         findings.append(silent)

@@ -220,7 +220,7 @@ def test_effects_that_are_off_are_not_computed(monkeypatch):
     def never(*_):
         raise AssertionError
 
-    for name in ("sweep_outlines", "scale_outlines", "camera_place"):
+    for name in ("sweep_outlines", "scale_outlines", "camera_position"):
         monkeypatch.setattr(camera_module, name, never)
     monkeypatch.setattr("scipy.ndimage.gaussian_filter", never)
     rig = replace(load_rig(), camera=replace(load_rig().camera, lens=None))

@@ -255,7 +255,7 @@ def test_a_camera_that_runs_free_sees_the_middle_of_a_cycle(age):
     )
     ends = [0.0, 0.033, 0.041, 0.141, 0.2]
     for begin, end in pairwise(ends):
-        simulation.run(PlateMotion.piece(cycle, begin, end))
+        simulation.run(PlateMotion.section(cycle, begin, end))
         if end > age:
             t = end - age
             expected = draw(true.position[round(t / 0.2 * samples)], cycle.pose(t)[0])
@@ -309,8 +309,8 @@ def test_a_camera_that_is_triggered_does_not_run_free():
 def test_a_piece_that_ends_at_a_knot_but_for_rounding_has_no_piece_without_length(off):
     cycle = PlateCycle.stopping(np.array([[1e-3, 0, 0], [0.1, 0, 0], [1.0, 0, 0]]), 0.01, 0.02)
     for piece in (
-        PlateMotion.piece(cycle, 0.0, 0.01 + off),
-        PlateMotion.piece(cycle, 0.01 + off, 0.02),
+        PlateMotion.section(cycle, 0.0, 0.01 + off),
+        PlateMotion.section(cycle, 0.01 + off, 0.02),
     ):
         assert np.all(np.diff(piece.times) > 1e-3)
         assert piece.period == pytest.approx(0.01)

@@ -285,7 +285,7 @@ class SolverNode(SafeLifecycleNode[Options]):
         tally = self._tally
         findings = [
             used("part_forces", tally.messages, tally.refused, tally.why),
-            self._input.timed_out(now),
+            self._input.timeout_finding(now),
         ]  # fmt: skip
         if tally.failed:
             findings.append(Finding(Level.ERROR, f"no solution, plate rests: {tally.failed}"))

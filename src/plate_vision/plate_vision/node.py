@@ -674,10 +674,10 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
 
     def _silence(self, now: float) -> Finding | None:
         """Return a finding if no image has arrived for too long, otherwise None."""
-        if self._input.timed_out(now) is None:
+        if self._input.timeout_finding(now) is None:
             return None
         advice = silence_advice(self, self._input.topic)
-        return replace(self._input, advice=advice).timed_out(now)
+        return replace(self._input, advice=advice).timeout_finding(now)
 
     def _diagnostic_values(self) -> Mapping[str, object]:
         now, tally = time.monotonic(), self._tally

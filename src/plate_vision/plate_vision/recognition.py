@@ -228,7 +228,7 @@ def _top_shift_function(
     """Return a function that computes how far the height of the highest parts shifts their tops in
     the image. The function maps image points (n, 2) [px] to shifts (n, 2) [px]. Return None if all
     parts are flat, or if the camera's position is unknown."""
-    height, place = float(np.max(catalogue.height, initial=0)), calibration.place
+    height, place = float(np.max(catalogue.height, initial=0)), calibration.camera_position
     if place is None or height == 0:
         return None
 

@@ -9,8 +9,8 @@ from .consistency import CYCLE_HZ, MIN_GAMMA, PART_PX, RigWarning, rig_warnings
 from .edit import edit_rig
 from .fiducials import Fiducials
 from .frames import (
-    camera_place,
     camera_pose,
+    camera_position,
     fit_homography,
     home_pose,
     homography,
@@ -70,8 +70,8 @@ __all__ = [
     "Rig",
     "RigWarning",
     "Suspension",
-    "camera_place",
     "camera_pose",
+    "camera_position",
     "default_rig_path",
     "edit_rig",
     "fit_homography",

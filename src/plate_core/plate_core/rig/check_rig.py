@@ -16,7 +16,7 @@ import numpy as np
 from ..ending import piped
 from ..errors import PlateError
 from .consistency import RigWarning, rig_warnings
-from .frames import camera_place
+from .frames import camera_position
 from .keys import ODRIVE_COUNTS
 from .motors import PEAK_OVER_RMS
 from .rig import Rig
@@ -83,7 +83,7 @@ def main() -> None:
     sys.exit(1 if any(warning.impossible for warning in found) else 0)
 
 
-def rig_report(rig: Rig, name: str, found: list[RigWarning]) -> str:
+def rig_report(rig: Rig, name: str, warnings: list[RigWarning]) -> str:
     """Return the whole report as lines for a terminal."""
     plate, parts, limits = rig.plate, rig.parts, rig.limits
     lines = [
@@ -108,9 +108,9 @@ def rig_report(rig: Rig, name: str, found: list[RigWarning]) -> str:
                 f"{sinusoid.speed:12.3g} {sinusoid.accel:14.3g}  {sinusoid.limit}"
             )
     lines.append("")
-    for warning in found:
+    for warning in warnings:
         lines.append(f"{'WRONG' if warning.impossible else 'warning'}: {warning.text}")
-    if not found:
+    if not warnings:
         lines.append("no inconsistencies")
     return "\n".join(lines)
 
@@ -134,7 +134,7 @@ def _camera_lines(rig: Rig) -> Iterator[str]:
     flat = ", ".join(name for name, part in rig.types.items() if part.height_m == 0)
     if not rig.types and rig.parts.height_m == 0:
         flat = "parts"
-    position = camera_place(rig)
+    position = camera_position(rig)
     if position is None:
         yield (
             "camera: its position is unknown, because the section camera has neither focal_px nor "

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..errors import RigError
-from .frames import camera_place, fit_homography, part_radius_px
+from .frames import camera_position, fit_homography, part_radius_px
 from .keys import ODRIVE_COUNTS
 from .rig import Rig
 from .sections import Drive
@@ -355,7 +355,7 @@ def _check_camera(rig: Rig) -> Iterator[RigWarning]:
 def _check_heights(rig: Rig) -> Iterator[RigWarning]:
     """Check the camera's height against its lens and corners, and the parts' heights against the
     camera's height."""
-    position = camera_place(rig)
+    position = camera_position(rig)
     if position is None:
         return
     given, height = rig.camera.height_m, float(position[2])

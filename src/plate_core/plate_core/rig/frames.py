@@ -169,7 +169,7 @@ def home_pose(image_from_home: np.ndarray, matrix: np.ndarray) -> tuple[np.ndarr
     return rotation, columns[:, 2] / size.mean()
 
 
-def camera_place(rig: Rig) -> np.ndarray | None:
+def camera_position(rig: Rig) -> np.ndarray | None:
     """Return the camera's centre of projection (3,) [m, plate_home], z above the plate at rest.
 
     There are three cases:
@@ -224,7 +224,7 @@ def _position_from_height(
     image_from_home: np.ndarray, middle: np.ndarray, height: float
 ) -> np.ndarray | None:
     """Return the position (3,) of a camera with a known height above the plate [m], the second case
-    of `camera_place`. None if there is no such position."""
+    of `camera_position`. None if there is no such position."""
     (p,) = project(np.linalg.inv(image_from_home), middle)
     slope = image_from_home[2, :2] / image_from_home[2, 2]
     ahead, size = float(slope @ p + 1), float(np.hypot(*slope))
@@ -239,7 +239,7 @@ def _position_from_focal_length(
     plate: np.ndarray, corners: np.ndarray, middle: np.ndarray
 ) -> np.ndarray | None:
     """Return the position (3,) of a camera with unknown height and focal length, the third case of
-    `camera_place`. None if the homography does not determine the focal length."""
+    `camera_position`. None if the homography does not determine the focal length."""
     view = fit_homography(plate, corners)
     focal = _estimate_focal_px(view, middle)
     if focal is None:

@@ -204,7 +204,7 @@ class Camera:
         Whether the images have colours.
     height_m : float or None
         Height of the lens above the plate [m]. None if the rig file does not give it.
-        `camera_place` needs the height if the lens is not calibrated.
+        `camera_position` needs the height if the lens is not calibrated.
     """
 
     width_px: int

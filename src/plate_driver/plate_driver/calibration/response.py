@@ -270,20 +270,26 @@ def closed_at_rest(frequency: np.ndarray, amplitude: np.ndarray, cost: np.ndarra
         Frequencies of the amplitudes [Hz]. The frequency 0 belongs to the mean.
     cost : (k, 3)
         Weight of the squared change.
+
+    For each coordinate, the real and imaginary parts x of the amplitudes determine pose, twist and
+    acceleration at the start, A x. The change d minimises the weighted sum of squares d^T W d under
+    the condition A (x + d) = 0. With V = W^-1, the solution is d = -V A^T (A V A^T)^-1 A x.
     """
     rate = 2 * np.pi * frequency
     # `real` and `imag` (3, k) convert the real and imaginary parts of the amplitudes to pose, twist
     # and acceleration at the start of the cycle.
     real = np.stack([np.ones_like(rate), np.zeros_like(rate), -(rate**2)])
     imag = np.stack([np.zeros_like(rate), -rate, np.zeros_like(rate)])
-    rows = np.hstack([real, imag])
+    start_map = np.hstack([real, imag])  # the matrix A
     new = np.array(amplitude)
     for axis in range(3):
-        ease = np.tile(1 / cost[:, axis], 2)
-        begins = rows @ np.concatenate([amplitude[:, axis].real, amplitude[:, axis].imag])
-        scale = np.diag(1 / np.sqrt(np.sum(rows**2 * ease, axis=1)))
-        normal = scale @ (rows * ease) @ rows.T @ scale
-        change = -ease * (rows.T @ scale @ np.linalg.solve(normal, scale @ begins))
+        inverse_weight = np.tile(1 / cost[:, axis], 2)
+        start = start_map @ np.concatenate([amplitude[:, axis].real, amplitude[:, axis].imag])
+        # The rows are scaled, because pose and acceleration differ by many orders of magnitude.
+        scale = np.diag(1 / np.sqrt(np.sum(start_map**2 * inverse_weight, axis=1)))
+        normal = scale @ (start_map * inverse_weight) @ start_map.T @ scale
+        multiplier = np.linalg.solve(normal, scale @ start)
+        change = -inverse_weight * (start_map.T @ scale @ multiplier)
         new[:, axis] += change[: len(rate)] + 1j * change[len(rate) :]
     return new
 

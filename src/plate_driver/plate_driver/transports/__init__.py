@@ -7,7 +7,7 @@ from .line import upload_s
 from .link import LATE_IN_MOTION, Link
 from .serial import CONNECTING, LEAD_S, Port, SerialTransport, make_serial, open_port
 from .sim import SimTransport, make_sim
-from .thread import ANSWER_S, BUSY, BUSY_S, Latch, TransportThread, urgent
+from .thread import ANSWER_S, BUSY, BUSY_S, Latch, TransportThread, high_priority
 from .transport import (
     CALL_AGAIN,
     STOPPED_SINCE,
@@ -46,11 +46,11 @@ __all__ = [
     "TransportContext",
     "TransportThread",
     "check_transport",
+    "high_priority",
     "installed",
     "make_serial",
     "make_sim",
     "make_transport",
     "open_port",
     "upload_s",
-    "urgent",
 ]

@@ -87,7 +87,7 @@ class DeviceClock:
         """Convert a device time [us] to host time [s]."""
         return device_us * 1e-6 + self.offset_s
 
-    def received(self, pulse: Pulse, now: float) -> DeviceClock:
+    def after_pulse(self, pulse: Pulse, now: float) -> DeviceClock:
         """Return the clock after a pulse that arrived at `now` [s]."""
         sent, device = pulse.host_ns * 1e-9, pulse.device_us * 1e-6
         if sent > now:
@@ -98,7 +98,7 @@ class DeviceClock:
         )
         return replace(clock, pulse_at=now)
 
-    def stamped(self, device_us: int, now: float) -> DeviceClock:
+    def after_telemetry(self, device_us: int, now: float) -> DeviceClock:
         """Return the clock after telemetry with device time `device_us` that arrived at `now`
         [s]."""
         return self._narrow_offset(float("-inf"), now - device_us * 1e-6, device_us, now)

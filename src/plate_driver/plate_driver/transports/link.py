@@ -300,7 +300,7 @@ class Link:
             if now - message.host_ns * 1e-9 > MAX_ROUND_TRIP_S:
                 # the host has stalled, or the pulse is the reply to a heartbeat of another host
                 return link
-            clock, line = link.clock.received(message, now), link.line.received(message, now)
+            clock, line = link.clock.after_pulse(message, now), link.line.received(message, now)
             return replace(link, clock=clock, line=line)
         if isinstance(message, Capabilities):
             return link._after_capabilities(message)
@@ -311,7 +311,7 @@ class Link:
     def _after_telemetry(self, telemetry: Telemetry) -> Link:
         link = replace(
             self, telemetry=telemetry, fresh_telemetry=telemetry, telemetry_at=self.received_at,
-            clock=self.clock.stamped(telemetry.device_us, self.received_at),
+            clock=self.clock.after_telemetry(telemetry.device_us, self.received_at),
         )  # fmt: skip
         if telemetry.state in MOVABLE:
             return replace(link, trouble=None)

@@ -53,7 +53,7 @@ capability CAP_SYS_NICE to set this value."""
 
 
 @contextlib.contextmanager
-def urgent() -> Iterator[None]:
+def high_priority() -> Iterator[None]:
     """Give this thread, and threads that are started in the context, a high priority."""
     thread_id = threading.get_native_id()
     before = os.getpriority(os.PRIO_PROCESS, thread_id)
@@ -264,7 +264,7 @@ class TransportThread:
 
     def _poll_periodically(self) -> None:
         period_s = POLL_PERIOD_S if self.motors else NO_MOTORS_PERIOD_S
-        with urgent():
+        with high_priority():
             while not self._ended.wait(period_s):
                 self.poll()
 

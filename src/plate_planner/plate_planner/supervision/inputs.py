@@ -218,7 +218,7 @@ class Inputs:
     def driver_problem(self, now: float) -> str:
         """Return the reason why the state of the driver prevents the start of a task. The text is
         empty if a task can start."""
-        finding = self.driver.timed_out(now)
+        finding = self.driver.timeout_finding(now)
         if finding is not None:
             return finding.message
         if self.driver_status is None:
@@ -239,7 +239,7 @@ class Inputs:
         The text is empty if a task can start."""
         if self.parts.arrival is None:
             return f"no parts yet; {self._missing_parts_cause(now, publishers)}"
-        if self.parts.timed_out(now) is not None:
+        if self.parts.timeout_finding(now) is not None:
             return self._missing_parts_text(now, self.parts.age(now), publishers)
         return self._refusal_text
 
@@ -248,7 +248,7 @@ class Inputs:
         text is empty if a task can start."""
         if self.starts is None:
             return ""
-        finding = self.starts.timed_out(now)
+        finding = self.starts.timeout_finding(now)
         if finding is None and self.starts.arrival is not None:
             return ""
         if self.start_refusal:
@@ -329,7 +329,9 @@ class Inputs:
         if name:
             return Failure(Reason.CUT_OFF, f"{name}: {self.reports[name].message}")
         orders = self.orders
-        finding = orders.timed_out(now) if orders is not None and orders.since >= began else None
+        if orders is None or orders.since < began:
+            return None
+        finding = orders.timeout_finding(now)
         return Failure(Reason.CUT_OFF, finding.message) if finding is not None else None
 
     def _find_node_without_input(self, now: float, began: float, period: float) -> str:
@@ -366,15 +368,15 @@ class Inputs:
         """Return findings for the diagnostics about the inputs parts, driver and cycle starts. The
         finding is None if this input is not missing. The findings do not depend on whether a task
         runs."""
-        parts = self.parts.timed_out(now)
+        parts = self.parts.timeout_finding(now)
         if parts is not None:
             parts = Finding(Level.STALE, self.parts_problem(now, publishers))
-        driver = self.driver.timed_out(now)
+        driver = self.driver.timeout_finding(now)
         if driver is None and self.driver_problem(now):
             driver = Finding(Level.WARN, self.driver_problem(now))
         starts = None
         if self.starts is not None and driver is None:  # only a ready driver starts cycles
-            starts = self.starts.timed_out(now)
+            starts = self.starts.timeout_finding(now)
             if starts is not None:
                 starts = Finding(starts.level, self.starts_problem(now))
         return [parts, driver, starts]

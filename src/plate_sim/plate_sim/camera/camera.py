@@ -13,7 +13,7 @@ import numpy as np
 
 from plate_core import PlateError, Rig
 from plate_core.colours import lab_to_srgb
-from plate_core.rig import PartType, camera_place, homography, project, to_home
+from plate_core.rig import PartType, camera_position, homography, project, to_home
 
 from .raster import (
     Outlines,
@@ -420,7 +420,7 @@ class Camera:
         PlateError
             If a value is not finite, if the arguments disagree about the number of parts, or if a
             part is as high as the camera. Also if heights are given but the rig file does not
-            contain the position of the camera (`camera_place`).
+            contain the position of the camera (`camera_position`).
         """
         path = self._exposure_path(position, velocity)
         count = path.shape[1]
@@ -534,7 +534,7 @@ class Camera:
 
     @cached_property
     def _camera_position(self) -> np.ndarray | None:
-        return camera_place(self._rig)
+        return camera_position(self._rig)
 
     def _make_sprites(
         self, scene: _Solids, angle: np.ndarray, marked: bool, lighting: Lighting

@@ -70,7 +70,7 @@ class PlateMotion:
         return cls(times, quintic_pieces(times, *plate_state(rig, *np.moveaxis(motors, 1, 0))))
 
     @classmethod
-    def piece(cls, motion: PlateCycle | PlateMotion, begin: float, end: float) -> PlateMotion:
+    def section(cls, motion: PlateCycle | PlateMotion, begin: float, end: float) -> PlateMotion:
         """Return the section of a motion from the time `begin` to the time `end` [s]. `begin` and
         `end` are within the motion."""
         times = motion.times

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from plate_core import PlateError, Rig, part_class
-from plate_core.rig import PartType, camera_place, row_delay
+from plate_core.rig import PartType, camera_position, row_delay
 
 from ..camera import Camera, part_colours
 from ..plate import PlateState
@@ -310,7 +310,7 @@ def check_height(rig: Rig, disturbances: Disturbances) -> None:
         **named,
     }
     high = [(name, value) for name, value in heights.items() if value > 0]
-    if not high or (position := camera_place(rig)) is None:
+    if not high or (position := camera_position(rig)) is None:
         if high:
             raise PlateError(
                 f"{high[0][0]} is {high[0][1]:g}, allowed: 0, because the rig file gives neither "

@@ -373,13 +373,13 @@ class Simulation:
         for drop_time in self._hopper.after(end):
             if drop_time - begin > MIN_S:
                 drop_time = drop_time if end - drop_time > MIN_S else end
-                self._simulate_cycle(PlateMotion.piece(cycle, begin, drop_time))
+                self._simulate_cycle(PlateMotion.section(cycle, begin, drop_time))
                 begin = drop_time
             self._drop_part()
         if begin == 0:
             self._simulate_cycle(cycle)
         elif begin < end:
-            self._simulate_cycle(PlateMotion.piece(cycle, begin, end))
+            self._simulate_cycle(PlateMotion.section(cycle, begin, end))
 
     def _simulate_cycle(self, cycle: PlateCycle | PlateMotion) -> None:
         """Simulate the parts until the end of a cycle, or of a section of a cycle."""

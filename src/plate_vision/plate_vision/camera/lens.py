@@ -12,7 +12,7 @@ import numpy as np
 
 from plate_core import PlateError, Rig, RigError
 from plate_core.rig import Lens as Formula
-from plate_core.rig import camera_place, fit_homography, home_pose, lens_of_matrix, project
+from plate_core.rig import camera_position, fit_homography, home_pose, lens_of_matrix, project
 
 from ..errors import CalibrationError
 
@@ -130,14 +130,14 @@ class Calibration:
         Inverse of `image_from_home`.
     lens : Lens, optional
         A distorting lens. With a lens, the homographies refer to the undistorted image.
-    place : (3,), optional
+    camera_position : (3,), optional
         Centre of projection of the camera [m, plate_home]. None if unknown.
     """
 
     image_from_home: np.ndarray
     home_from_image: np.ndarray
     lens: Lens | None = None
-    place: np.ndarray | None = None
+    camera_position: np.ndarray | None = None
 
     def to_home(self, point_px: np.ndarray) -> np.ndarray:
         """Map image points (M, 2) [px] to plate_home (M, 2) [m]."""
@@ -202,7 +202,7 @@ def calibrate(
     corners_px: np.ndarray,
     corners: np.ndarray,
     lens: Lens | None = None,
-    place: np.ndarray | None = None,
+    camera_position: np.ndarray | None = None,
 ) -> Calibration:
     """Calibrate a camera by the homography from four pairs of points.
 
@@ -214,7 +214,7 @@ def calibrate(
         The same points in plate_home [m].
     lens : Lens, optional
         Lens of the camera. None: no distortion.
-    place : (3,), optional
+    camera_position : (3,), optional
         The camera's centre of projection [m, plate_home]. This argument is only used if `lens` is
         None.
 
@@ -232,7 +232,7 @@ def calibrate(
         lens.check_folding(corners_px)
         straight, name = lens.straighten(corners_px), "corners_px without the lens's distortion"
         corners_px = check_quadrilateral(straight, name, CalibrationError)
-    return calibrate_by_matrix(fit_homography(corners, corners_px), lens, place)
+    return calibrate_by_matrix(fit_homography(corners, corners_px), lens, camera_position)
 
 
 def check_quadrilateral(
@@ -271,14 +271,14 @@ def cross_products(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def calibrate_by_matrix(
-    image_from_home: np.ndarray, lens: Lens | None = None, place: np.ndarray | None = None
+    image_from_home: np.ndarray, lens: Lens | None = None, camera_position: np.ndarray | None = None
 ) -> Calibration:
     """Return the calibration for a known homography (3, 3) from plate_home [m] to the image [px].
     If there is a lens, the homography maps to the undistorted image.
 
-    `place` (3,) is the camera's centre of projection [m, plate_home]. This argument is only used if
-    `lens` is None. With a lens, the centre of projection is computed from the homography and the
-    lens.
+    `camera_position` (3,) is the camera's centre of projection [m, plate_home]. This argument is
+    only used if `lens` is None. With a lens, the centre of projection is computed from the
+    homography and the lens.
 
     Raises
     ------
@@ -294,17 +294,18 @@ def calibrate_by_matrix(
         )
     if lens is not None:
         rotation, translation = home_pose(matrix, lens.matrix)
-        place = -rotation.T @ translation
+        camera_position = -rotation.T @ translation
     bends = lens is not None and lens.bends
-    return Calibration(matrix, np.linalg.inv(matrix), lens if bends else None, place)
+    return Calibration(matrix, np.linalg.inv(matrix), lens if bends else None, camera_position)
 
 
 def calibrate_by_rig(rig: Rig, lens: Lens | None = None) -> Calibration:
     """Calibrate by the image points of the plate's corners in the rig file. If no lens is given,
     the lens of the rig file is used."""
     lens = lens or rig_lens(rig)
-    place = camera_place(rig) if lens is None else None
-    return calibrate(np.array(rig.camera.corners_px), rig.plate.corners, lens, place)
+    # With a lens, `calibrate` computes the position of the camera from the corners.
+    position = camera_position(rig) if lens is None else None
+    return calibrate(np.array(rig.camera.corners_px), rig.plate.corners, lens, position)
 
 
 def lens_keys(lens: Lens) -> dict[str, str]:

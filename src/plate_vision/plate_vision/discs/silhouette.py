@@ -64,7 +64,7 @@ class SeenDiscs:
 
     def __call__(self, point_px: np.ndarray) -> np.ndarray:
         """Return the silhouettes (n,) SILHOUETTE at image points (n, 2) [px]."""
-        place = self.calibration.place if self.height else None
+        place = self.calibration.camera_position if self.height else None
         slopes = self.calibration.slopes(point_px)
         a, b, c, d = slopes.reshape(-1, 4).T
         area = np.abs(a * d - b * c)  # sqrt(det J'J) [m2/px2]

@@ -338,7 +338,8 @@ def height_levels(
 ) -> tuple[list[float], np.ndarray, int]:
     """Return the distinct heights of types [m], the index of each type's height (T,), and the index
     of the most frequent height. All heights are 0 if the camera's place is unknown."""
-    height = catalogue.height if calibration.place is not None else np.zeros(len(catalogue.area))
+    known = calibration.camera_position is not None
+    height = catalogue.height if known else np.zeros(len(catalogue.area))
     if not np.any(height):
         return [0.0], np.zeros(len(height), int), 0
     levels, level_index, count = np.unique(height, return_inverse=True, return_counts=True)
@@ -360,7 +361,8 @@ def footprints(
         ends = calibration.to_home(calibration.to_image(centre) + lamp.shift_px)
         shadows = list(ends - centre)
     return [
-        footprint(visible, calibration.place, height, float(part_scale), shadow) or visible
+        footprint(visible, calibration.camera_position, height, float(part_scale), shadow)
+        or visible
         for visible, part_scale, shadow in zip(outlines, scale, shadows, strict=True)
     ]
 
@@ -376,8 +378,9 @@ def top_colours(
     height [m]. If a top is too small to measure its colour, return the colour of `otherwise` (n, 3)
     instead."""
     found = otherwise.copy()
-    below = calibration.place[:2] if calibration.place is not None else np.zeros(2)
-    factor = 1.0 if calibration.place is None else magnification(calibration.place, height)
+    camera = calibration.camera_position
+    below = np.zeros(2) if camera is None else camera[:2]
+    factor = 1.0 if camera is None else magnification(camera, height)
     for i, outline in enumerate(outlines):
         rings = [calibration.to_image(below + (ring - below) * factor) for ring in outline.rings]
         low = np.maximum(np.floor(rings[0].min(axis=0)).astype(int), 0)
@@ -573,8 +576,8 @@ def _measure_lamp(
         part = catalogue.templates[numbers[found["label"][i]]].part
         base = to_home(np.array([found["x"][i], found["y"][i], found["angle"][i]]), part.polygon)
         top = base
-        if calibration.place is not None:
-            top = base + apparent_shift(calibration.place, base, part.height_m)
+        if calibration.camera_position is not None:
+            top = base + apparent_shift(calibration.camera_position, base, part.height_m)
         seen, body = np.ptp(outlines[i].rings[0] @ axes, axis=0), np.vstack([base, top]) @ axes
         swell = seen[1] - np.ptp(body[:, 1])
         end = np.min(body[:, 0]) + seen[0] - swell

@@ -256,12 +256,12 @@ def _find_clusters(
     states whether a patch has a type or is cut by the image's border."""
     owner = np.full(shape, -1, np.int32)
     for i, patch in enumerate(patches):
-        owner[patch.place][patch.mask] = i
+        owner[patch.window][patch.mask] = i
     touching = np.eye(len(patches), dtype=bool)
     free = np.flatnonzero(~explained)
     element = np.ones((2 * TOUCH_PX + 1,) * 2, np.uint8)
     for index in free.tolist():
-        window = owner[patches[index].around(TOUCH_PX, shape)]
+        window = owner[patches[index].window_with_margin(TOUCH_PX, shape)]
         near = window[cv2.dilate((window == index).astype(np.uint8), element) > 0]
         touching[index, near[near >= 0]] = True
     _, cluster = connected_components(touching[np.ix_(free, free)])
@@ -342,9 +342,10 @@ def _footprint_view(view: View, calibration: Calibration, height: float, lamp: L
         points = view.seen(np.zeros(3), ring)
         cv2.fillPoly(mask, [np.rint(16 * points).astype(np.int32)], not number, shift=4)
     view = replace(view, mask=mask & view.mask, outline=outline)
-    if calibration.place is None or height == 0:
+    if calibration.camera_position is None or height == 0:
         return view
-    shift = apparent_shift(calibration.place, outline.centre[None], height)[0] @ view.to_px[:, :2].T
+    moved = apparent_shift(calibration.camera_position, outline.centre[None], height)[0]
+    shift = moved @ view.to_px[:, :2].T
     pixels = cv2.warpAffine(
         view.pixels, np.column_stack([np.eye(2), -shift]), mask.shape[::-1],
         borderMode=cv2.BORDER_REPLICATE,

@@ -80,7 +80,7 @@ class HoleCheck:
     def _sample_colours(self, point: np.ndarray, height: float) -> tuple[np.ndarray, np.ndarray]:
         """Return the colours (n, C) of the image and of the bare plate at those n of the points (m,
         2) [m] that are in the image. The points are at a height [m]."""
-        place = self.calibration.place
+        place = self.calibration.camera_position
         if height and place is not None:
             point = place[:2] + (point - place[:2]) * magnification(place, height)
         column, row = np.rint(self.calibration.to_image(point)).astype(int).T

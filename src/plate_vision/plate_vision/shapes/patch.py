@@ -59,7 +59,7 @@ class Patch:
     group: bool = False
 
     @property
-    def place(self) -> tuple[slice, slice]:
+    def window(self) -> tuple[slice, slice]:
         """Rows and columns of the image that the patch's window covers."""
         (x0, y0), (height, width) = self.corner, self.mask.shape
         return np.s_[y0 : y0 + height, x0 : x0 + width]
@@ -76,10 +76,10 @@ class Patch:
         )
         return bool(np.any(mask & other_mask))
 
-    def around(self, margin: int, shape: tuple[int, ...]) -> tuple[slice, slice]:
+    def window_with_margin(self, margin: int, shape: tuple[int, ...]) -> tuple[slice, slice]:
         """Return the rows and columns of an image (H, W, ...) in the patch's window with a margin
         [px] around it."""
-        rows, columns = self.place
+        rows, columns = self.window
         return (
             slice(max(rows.start - margin, 0), min(rows.stop + margin, shape[0])),
             slice(max(columns.start - margin, 0), min(columns.stop + margin, shape[1])),
@@ -88,7 +88,7 @@ class Patch:
     def windowed(self, shape: tuple[int, ...]) -> tuple[tuple[slice, slice], np.ndarray]:
         """Return the rows and columns of an image (H, W, ...) in the patch's window with a margin
         of `MARGIN_PX`, and the patch's mask (h, w) uint8 there."""
-        window = rows, columns = self.around(MARGIN_PX, shape)
+        window = rows, columns = self.window_with_margin(MARGIN_PX, shape)
         mask = np.zeros((rows.stop - rows.start, columns.stop - columns.start), np.uint8)
         (x, y), (height, width) = self.corner, self.mask.shape
         top, left = y - rows.start, x - columns.start

@@ -85,9 +85,9 @@ def find_outlines(image: np.ndarray) -> np.ndarray:
         detection["radius_px"] = np.mean(scale) * patch.radius_px
         detection["round"] = compact > ROUND and filled > ROUND
         detection["angle_rad"] = 0 if detection["round"] else _long_side_direction(outline)
-        behind = background.grey[patch.place][patch.mask]
+        behind = background.grey[patch.window][patch.mask]
         detection["background"] = np.median(behind)
-        detection["contrast"] = np.median(grey[patch.place][patch.mask].astype(float) - behind)
+        detection["contrast"] = np.median(grey[patch.window][patch.mask].astype(float) - behind)
         detection["group"] = patch.group
         detection["confidence"] = filled * min(1, abs(detection["contrast"]) / SURE)
         column, row = np.rint(outline).astype(int).T

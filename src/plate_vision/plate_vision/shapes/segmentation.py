@@ -135,7 +135,7 @@ class Segments(NamedTuple):
         cut = self.cut.copy()
         for patch, known in zip(self.patches, named, strict=True):
             if known:
-                cut[self.labels[patch.place][patch.mask]] = False
+                cut[self.labels[patch.window][patch.mask]] = False
         return cut[self.labels] if np.any(cut) else None
 
 
@@ -262,7 +262,7 @@ def _find_patches(
 
 def _is_shadow_remnant(patch: Patch, seen: np.ndarray, deviations: np.ndarray) -> bool:
     """Whether a patch is the rest of a shadow. If so, a shadow was removed around the patch."""
-    window = patch.around(2, seen.shape)
+    window = patch.window_with_margin(2, seen.shape)
     taken = np.count_nonzero((seen[window] > 0) & (deviations[window] == 0))
     return bool(taken > MIN_REMOVED * patch.area_px2)
 
@@ -427,6 +427,6 @@ def _make_patch(piece: Piece, window: Window, region: Region | None) -> Patch | 
     is_whole = not any(np.any(line) for line in (mask[0], mask[:, 0], mask[-1], mask[:, -1]))
     corner = window.corner[0] + x0, window.corner[1] + y0
     patch = Patch(mask, corner, cover, is_whole, piece.group)
-    if region is not None and not np.all(region.usable[patch.place][near]):
+    if region is not None and not np.all(region.usable[patch.window][near]):
         return replace(patch, whole=False)
     return patch

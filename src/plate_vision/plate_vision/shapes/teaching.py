@@ -451,14 +451,14 @@ def _height_warning(
     `unlike` is the RMS difference between the outlines if the parts are assumed to be flat and
     their sizes are made equal [m]. If parts have a height, their side faces are visible. At places
     farther from the camera, the side faces are longer, so the outlines differ."""
-    if calibration.place is None or unlike * scale < BETTER_PX:
+    if calibration.camera_position is None or unlike * scale < BETTER_PX:
         return ()
     reach = float(np.median([outline.reach for outline in outlines]))
     heights = reach * np.array(HEIGHTS)
     rest, height = min(
         (
             (_mean_outline(footprints(outlines, calibration, height), scale)[3], height)
-            for height in heights[heights < HIGHEST * calibration.place[2]]
+            for height in heights[heights < HIGHEST * calibration.camera_position[2]]
         ),
         default=(math.inf, 0.0),
     )
