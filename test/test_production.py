@@ -91,7 +91,7 @@ def test_counting_begins_with_the_first_pick(monkeypatch):
     task = load_scenario("feed").task
     found = Production.of(tally, Robot(2.0, late.due), simulation, task)
     assert (found.picks, found.failed) == (2, 1)
-    monkeypatch.setattr(Simulation, "chuted_classes", Counter(black=2, grey=3))
+    monkeypatch.setattr(Simulation, "discharged_classes", Counter(black=2, grey=3))
     gone = Production.of(tally, robot, simulation, task)
     assert (gone.lost, gone.discharged) == (2, 3), "none that is wanted may go to the chute"
     assert found.first_s == pytest.approx(7.3)

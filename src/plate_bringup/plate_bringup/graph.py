@@ -188,7 +188,7 @@ class RunOptions:
     robot_port: int = 7171
 
     @property
-    def feeds(self) -> str:
+    def feed_scenario(self) -> str:
         """Scenario of the feeder. Empty if the run has no feeder."""
         if self.recipe or self.hardware or self.port or self.camera:
             return self.recipe
@@ -204,7 +204,7 @@ class RunOptions:
             and (not node.camera or bool(self.camera))
             and node.transport in ("", self.transport)
             and (self.view or not node.view)
-            and (not node.feed or bool(self.feeds))
+            and (not node.feed or bool(self.feed_scenario))
         )
 
     @property
@@ -253,7 +253,7 @@ class RunOptions:
         if node.name == "camera":
             values["device"] = self.camera
         if node.name == "feeder":
-            values["recipe"] = self.feeds
+            values["recipe"] = self.feed_scenario
             if "robot_port" in chosen:
                 values["port"] = self.robot_port
         if node.name == "device":

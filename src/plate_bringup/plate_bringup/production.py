@@ -229,7 +229,7 @@ class Production:
     @classmethod
     def of(cls, tally: Tally, robot: Robot, simulation: Simulation, task: FeedTask) -> Production:
         """Return the result of a production until now."""
-        astray = sum(simulation.chuted_classes[pick.label] for pick in task.picks)
+        astray = sum(simulation.discharged_classes[pick.label] for pick in task.picks)
         counts = tally.picks >= 2
         since = tally.time_s - tally.first_s if counts else max(tally.time_s, SHORT_S)
         waited = tally.waited_s + robot.waited(tally.time_s)
@@ -240,7 +240,7 @@ class Production:
             picks=tally.picks,
             failed=tally.failed,
             lost=simulation.dropped + astray,
-            discharged=simulation.chuted - astray,
+            discharged=simulation.discharged - astray,
             error_mm=percentiles(tally.error_m, 1e3),
             error_deg=percentiles(tally.error_rad, 180 / np.pi),
             cpu=tally.cpu_s / max(tally.time_s, SHORT_S),

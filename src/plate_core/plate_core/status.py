@@ -22,8 +22,8 @@ __all__ = [
     "Input",
     "Level",
     "age_limit",
+    "combined",
     "used",
-    "worst",
 ]
 
 INPUT_TIMEOUT_S = 1.5
@@ -64,7 +64,7 @@ def age_limit(period: float) -> float:
     return min(2 * period + LATENCY_S, max(MAX_AGE_S, period + LATENCY_S))
 
 
-def worst(findings: Iterable[Finding | None], otherwise: str) -> Finding:
+def combined(findings: Iterable[Finding | None], otherwise: str) -> Finding:
     """Combine several findings into one. The result has the most severe level, and all messages in
     order of severity.
 

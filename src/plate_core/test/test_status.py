@@ -6,8 +6,8 @@ from plate_core.status import (
     Finding,
     Input,
     Level,
+    combined,
     used,
-    worst,
 )
 
 
@@ -20,9 +20,9 @@ def test_levels_are_those_of_ros():
 def test_the_worst_of_several_findings_counts_and_all_are_reported():
     late, old = Finding(Level.WARN, "late"), Finding(Level.STALE, "no image")
     failed = Finding(Level.ERROR, "failed")
-    assert worst([None, None], "all well") == Finding(Level.OK, "all well")
-    assert worst([late, None, old], "") == Finding(Level.STALE, "no image; late")
-    assert worst([late, old, failed], "") == Finding(Level.ERROR, "failed; no image; late")
+    assert combined([None, None], "all well") == Finding(Level.OK, "all well")
+    assert combined([late, None, old], "") == Finding(Level.STALE, "no image; late")
+    assert combined([late, old, failed], "") == Finding(Level.ERROR, "failed; no image; late")
 
 
 def test_an_input_times_out_with_and_without_a_first_message():

@@ -131,7 +131,7 @@ class Playback:
         """Record whether the plate rests because cycles no longer arrive. Return a message if the
         plate rests for this reason, otherwise an empty text."""
         hold_s = self.guard.lasts_s
-        self.guard, over = self.guard.watched(now)
+        self.guard, over = self.guard.at_time(now)
         return f"no plate_cycle for {hold_s:.3g} s: the plate rests" if over else ""
 
     def idle_s(self, now: float, ready_since: float) -> float | None:

@@ -125,13 +125,13 @@ class Anything(RuleBasedStateMachine):
                 span = wait / steps if wait < 10 else 0.02
                 decay = np.exp(-span / LIMITS.thermal_time_s)
                 self.heat = self.load + (self.heat - self.load) * decay
-                self.take(self.guard.watched(self.now)[0])
+                self.take(self.guard.at_time(self.now)[0])
 
     @rule(back=st.sampled_from([1e-4, 0.2, 1.5, 1e6]))
     def the_clock_is_put_back(self, back):
         back = min(back, self.now - 1e-9)
         self.now -= back
-        self.take(self.guard.watched(self.now)[0])
+        self.take(self.guard.at_time(self.now)[0])
         assert back < 1.1 or self.guard.table is None
 
     @rule()
@@ -180,29 +180,29 @@ def test_when_cycles_cease_to_come_the_plate_counts_as_resting():
     cycle = wild_cycle(1, 12, 1e-4, 0.2, 1)
     guard, _ = Guard(RIG, hold_cycles=5).accepted(cycle, 1, 10.0)
     assert guard.plays == 5
-    assert guard.watched(10.9999) == (guard, False)
-    rested, over = guard.watched(11.0001)
+    assert guard.at_time(10.9999) == (guard, False)
+    rested, over = guard.at_time(11.0001)
     assert over
     assert rested.table is None
-    assert rested.watched(20.0) == (rested, False)  # reported once
+    assert rested.at_time(20.0) == (rested, False)  # reported once
     # Motors that hold for less than that are not taken to go on.
     guard, _ = Guard(RIG, hold_cycles=5, hold_s=0.5).accepted(cycle, 1, 10.0)
     assert guard.plays == 2
-    assert guard.watched(10.4001)[1]
+    assert guard.at_time(10.4001)[1]
 
 
 def test_a_clock_that_is_set_back_invalidates_earlier_cycles():
     """As after a restart of the simulator: its clock can arrive a little later than its images."""
     cycle = wild_cycle(1, 12, 1e-4, 0.2, 1)
     guard, _ = Guard(RIG).accepted(cycle, 100 * 10**9, 100.0)
-    assert guard.watched(99.1) == guard.watched(0.0) == (guard, False)
-    rested, over = guard.watched(2.0)
+    assert guard.at_time(99.1) == guard.at_time(0.0) == (guard, False)
+    rested, over = guard.at_time(2.0)
     assert over
     assert (rested.table, rested.sent_at) == (None, 2.0)  # silence counts from here on
     again, _ = rested.accepted(cycle, 2 * 10**9, 2.1)
     assert again.statistics.late == 0.0
-    assert not again.watched(2.2)[1]
-    assert again.watched(2.1 + again.lasts_s + 0.01)[1]
+    assert not again.at_time(2.2)[1]
+    assert again.at_time(2.1 + again.lasts_s + 0.01)[1]
 
 
 def test_an_experiment_lasts_less_than_motors_hold_and_leaves_no_trace():

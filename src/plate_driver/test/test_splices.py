@@ -243,7 +243,7 @@ def test_a_table_with_a_tail_is_played_once(pair):
     assert guard.accepted(second, 2, 10.08)[0].statistics.late == 0
     assert not late.over(10.12 + PERIOD + TAIL)
     assert late.over(10.12 + 2 * (PERIOD + TAIL) + 1e-6)
-    rested, over = guard.watched(10.2)
+    rested, over = guard.at_time(10.2)
     assert over
     assert rested.statistics.rests == 1
     with pytest.raises(CycleError, match=r"begins in motion, .* from rest"):
@@ -253,7 +253,7 @@ def test_a_table_with_a_tail_is_played_once(pair):
 
 @pytest.mark.parametrize("now", [10.151, 50.0, 2.0, 1e-6])
 def test_a_table_that_has_ended_is_not_continued(pair, now):
-    """Also before anything has called `watched`: after its tail, and if the clock was set back."""
+    """Also before anything has called `at_time`: after its tail, and if the clock was set back."""
     first, second = pair
     guard, _ = Guard(RIG).accepted(first, 1, 10.0)
     with pytest.raises(CycleError, match=r"begins in motion, .* from rest"):
@@ -321,7 +321,7 @@ def test_motors_that_are_too_warm_continue_with_a_scaled_cycle_from_rest(rng):
     taken = []
     for k in range(200):
         now = k * PERIOD
-        guard, _ = guard.watched(now)
+        guard, _ = guard.at_time(now)
         if guard.table is None:  # the plate's rest was reported, so the next cycle begins at rest
             before = None
         cycle = spliced(rng, before)
@@ -499,9 +499,9 @@ def test_the_plate_never_jumps_with_random_cycles():
                 guard, refused = guard.refused(), refused + 1
             for _ in range(rng.choice(WAITS, p=WAITED)):
                 player.run(0.01)
-                guard, _ = guard.watched(player.now)
+                guard, _ = guard.at_time(player.now)
         player.run(1.0)
-        guard, _ = guard.watched(player.now)
+        guard, _ = guard.at_time(player.now)
         assert guard.table is None
         rows = player.rows
         judge(rows)
@@ -591,7 +591,7 @@ def test_the_plate_never_jumps_with_random_streamed_cycles():
             except CycleError:
                 totals[0] += 1
             now += 0.01 * rng.choice(WAITS, p=WAITED)
-            guard, _ = guard.watched(now)
+            guard, _ = guard.at_time(now)
             # Just inside, or just beyond the end of the sent path.
             stream, more = stream.until(stream.begin * 1e-8 + PERIOD + rng.choice([0.02, -0.04]))
             streams[-1] += more

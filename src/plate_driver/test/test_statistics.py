@@ -25,7 +25,7 @@ def test_accepted_scaled_and_refused_cycles_are_counted():
     assert statistics.problems == ("a cycle was scaled down",)
     guard = Guard(RIG, statistics=statistics).refused().refused()
     guard, _ = guard.commanded(wild(1e-5), 0, 1.0)
-    guard, rests = guard.watched(1.0 + guard.lasts_s + 1e-9)
+    guard, rests = guard.at_time(1.0 + guard.lasts_s + 1e-9)
     assert rests
     assert (guard.statistics.refused, guard.statistics.rests) == (2, 1)
     assert guard.statistics.problems == (

@@ -32,7 +32,7 @@ from plate_core.ros import (
     seconds,
     to_time,
 )
-from plate_core.status import Finding, Level, worst
+from plate_core.status import Finding, Level, combined
 from plate_core.tasks import FeedMode, FeedOrder, FeedTask, Pick, check_scenario, load_scenario
 from plate_interfaces.action import GetPart, PurgePlate
 from plate_interfaces.msg import DriverStatus, FeedPick, FeedStatus, Part, PartCount, TaskStatus
@@ -527,7 +527,7 @@ class FeederNode(SafeLifecycleNode[Options]):
             found.append(Finding(Level.WARN, self._hopper_problem))
         if quantity.lost:
             found.append(Finding(Level.WARN, f"{quantity.lost} parts left the plate over an edge"))
-        return worst(found, self._activity_text(now))
+        return combined(found, self._activity_text(now))
 
     def _diagnostic_values(self) -> Mapping[str, Any]:
         quantity, server = self._feeder.quantity(), self._server

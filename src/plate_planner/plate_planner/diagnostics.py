@@ -7,7 +7,7 @@ the texts of all three, the most severe text first.
 
 from __future__ import annotations
 
-from plate_core.status import Finding, Level, worst
+from plate_core.status import Finding, Level, combined
 
 from .supervision import InputMonitor
 from .task_run import TaskRunner
@@ -52,7 +52,7 @@ class PlannerDiagnostics:
         ):
             if text:
                 findings.append(Finding(Level.WARN, text))
-        result, run = worst(findings, ""), self._tasks.run
+        result, run = combined(findings, ""), self._tasks.run
         if run is None:
             return Finding(result.level, "; ".join(filter(None, ("idle", result.message))))
         level = result.level
@@ -62,7 +62,7 @@ class PlannerDiagnostics:
         new = [
             found for found in findings if found is not None and found.message not in run.task.text
         ]
-        return Finding(level, "; ".join(filter(None, (run.task.text, worst(new, "").message))))
+        return Finding(level, "; ".join(filter(None, (run.task.text, combined(new, "").message))))
 
     def values(self, now: float) -> dict[str, str]:
         """Return the values of the diagnostics at the time `now` [s, steady clock], by name."""

@@ -351,7 +351,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             self._monitor.inputs = self._monitor.inputs.start_refused(str(error))
             self._warn(str(error))
             return
-        if not self._schedule.is_new(cycle, begin):
+        if not self._schedule.record_start(cycle, begin):
             return
         self._monitor.inputs = self._monitor.inputs.start_received(self._monitor.inputs.ran)
         self._tasks.record_start(cycle, begin, self.options.camera_triggered)

@@ -32,7 +32,7 @@ class RequestSchedule:
         self._begin, self._cycle = -np.inf, PlateCycle.rest(period)
         self._due = False
 
-    def is_new(self, cycle: PlateCycle, begin: float) -> bool:
+    def record_start(self, cycle: PlateCycle, begin: float) -> bool:
         """Record that the plate began a cycle at the time `begin` [s, in the time of the image
         stamps].
 

@@ -92,7 +92,7 @@ def test_an_overdue_cycle_or_start_is_not_waited_for():
 def test_with_a_free_running_camera_the_answer_is_due_before_the_cycle_ends():
     schedule = RequestSchedule(answer_s=0.05, period=0.1)
     assert not schedule.take_due()
-    assert schedule.is_new(REST, 10.0)
+    assert schedule.record_start(REST, 10.0)
     assert schedule.wait_s(arrival=10.02) == pytest.approx(0.13)
     assert schedule.wait_s(arrival=9.9) == pytest.approx(0.15)  # an early clock changes nothing
     assert schedule.take_due()
@@ -103,8 +103,8 @@ def test_a_repeated_report_of_a_start_does_not_delay_the_answer():
     schedule = RequestSchedule(answer_s=0.05, period=0.1)
     wave = 1e-3 * np.sin(np.arange(8) / 8 * 2 * np.pi) ** 2
     moving = PlateCycle.from_samples(0.2, np.outer(wave, [1, 0, 0]))
-    assert schedule.is_new(REST, 10.0)
-    assert not schedule.is_new(REST, 10.01)
-    assert schedule.is_new(moving, 10.02)  # another cycle
-    assert schedule.is_new(moving, 10.2)
-    assert schedule.is_new(moving, 9.0)  # the clock was set back
+    assert schedule.record_start(REST, 10.0)
+    assert not schedule.record_start(REST, 10.01)
+    assert schedule.record_start(moving, 10.02)  # another cycle
+    assert schedule.record_start(moving, 10.2)
+    assert schedule.record_start(moving, 9.0)  # the clock was set back

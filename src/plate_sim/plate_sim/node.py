@@ -47,7 +47,7 @@ from plate_core.ros import (
     run_node,
     to_time,
 )
-from plate_core.status import INPUT_TIMEOUT_S, Finding, Input, Level, used, worst
+from plate_core.status import INPUT_TIMEOUT_S, Finding, Input, Level, combined, used
 from plate_core.tasks import load_scenario
 from plate_interfaces.msg import DriverStatus, Part
 from plate_interfaces.msg import Parts as PartsMsg
@@ -740,7 +740,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         if overtravel > 0:
             troubles.append(f"a motor exceeds its stroke by {1e3 * overtravel:.2g} mm")
         findings += [Finding(Level.WARN, trouble) for trouble in troubles]
-        return worst(findings, fine)
+        return combined(findings, fine)
 
     def _diagnostic_values(self) -> Mapping[str, object]:
         limits, used = self._rig.limits, self._usage
@@ -748,10 +748,10 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         return {
             **self._count,
             "parts dropped": self._simulation.dropped,
-            "parts over the chute": self._simulation.chuted,
+            "parts over the chute": self._simulation.discharged,
             **{
                 f"{label} over the chute": count
-                for label, count in self._simulation.chuted_classes.items()
+                for label, count in self._simulation.discharged_classes.items()
             },
             "stroke used": f"{used.stroke_m / limits.stroke_m:.3f}",
             "speed used": f"{used.speed / limits.speed:.3f}",

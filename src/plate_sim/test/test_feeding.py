@@ -283,7 +283,7 @@ def test_errors_of_a_grip_are_true_but_for_symmetry(scenario, symmetry):
         assert name not in simulation.state.ids
     grip = simulation.move_robot(Move.GRIP, 0.0, 0.0)
     assert (grip.success, grip.id, grip.error_m) == (False, "", np.inf)
-    assert (simulation.dropped, simulation.chuted) == (0, 0)
+    assert (simulation.dropped, simulation.discharged) == (0, 0)
 
 
 def test_round_parts_have_an_angle_only_if_they_are_marked():
@@ -433,7 +433,7 @@ def test_the_next_image_shows_what_came_and_what_was_taken(readout):
 @pytest.mark.parametrize(
     ("lean", "ends"),
     [
-        ({"tilt_x": SLOPE}, "chuted"),
+        ({"tilt_x": SLOPE}, "discharged"),
         ({"tilt_x": -SLOPE}, "dropped"),
         ({"tilt_y": SLOPE}, "dropped"),
     ],
@@ -446,11 +446,11 @@ def test_parts_over_the_chute_are_not_taken_for_lost(lean, ends):
     assert not simulation.state.ids  # forgotten
     simulation.place("", "black", np.array([-0.2, -0.1]))
     run(simulation, 30)
-    counts = {"chuted": simulation.chuted, "dropped": simulation.dropped}
+    counts = {"discharged": simulation.discharged, "dropped": simulation.dropped}
     assert counts.pop(ends) == 6
     assert counts.popitem()[1] == 0
-    assert simulation.chuted_classes.total() == simulation.chuted
-    assert (simulation.chuted_classes["black"] > 0) == (ends == "chuted")
+    assert simulation.discharged_classes.total() == simulation.discharged
+    assert (simulation.discharged_classes["black"] > 0) == (ends == "discharged")
 
 
 def test_other_scenarios_keep_what_has_left_the_plate():
@@ -459,7 +459,7 @@ def test_other_scenarios_keep_what_has_left_the_plate():
     taken = simulation.move_robot(Move.GRIP, *simulation.state.position[0])
     run(simulation, 40)
     assert len(simulation.state.ids) == 3
-    assert (simulation.dropped, simulation.state.dropped, simulation.chuted) == (3, 3, 0)
+    assert (simulation.dropped, simulation.state.dropped, simulation.discharged) == (3, 3, 0)
     with pytest.raises(PlateError, match="id is"):
         simulation.place(taken.id, "", np.zeros(2))
     simulation.place(simulation.state.ids[0], "", np.zeros(2))
@@ -500,7 +500,7 @@ def test_a_long_production_stays_as_small_as_it_was(world_of):
         assert len(simulation.mu) == rows[-1]
     assert taken > 75
     assert max(rows[100:]) <= max(rows[:100]) <= 20
-    gone = taken + simulation.dropped + simulation.chuted
+    gone = taken + simulation.dropped + simulation.discharged
     assert len(made) == gone + np.count_nonzero(simulation.state.on_plate)
     numbers = sorted(int(name.split("_")[1]) for name in made if part_class(name) == "black")
     assert numbers == list(range(1, len(numbers) + 1))

@@ -32,7 +32,7 @@ from plate_core.ros import (
     parameter,
     run_node,
 )
-from plate_core.status import INPUT_TIMEOUT_S, Finding, Input, Level, used, worst
+from plate_core.status import INPUT_TIMEOUT_S, Finding, Input, Level, combined, used
 from plate_interfaces.msg import PartForces
 
 from .controller import METHODS, Controller, CycleResult
@@ -289,7 +289,7 @@ class SolverNode(SafeLifecycleNode[Options]):
         ]  # fmt: skip
         if tally.failed:
             findings.append(Finding(Level.ERROR, f"no solution, plate rests: {tally.failed}"))
-        return worst(findings, self._last.message if self._last else "waiting for part_forces")
+        return combined(findings, self._last.message if self._last else "waiting for part_forces")
 
     def _values(self) -> Mapping[str, object]:
         errors, solve_ms = self._tally.errors, self._tally.solve_ms

@@ -40,7 +40,7 @@ from plate_core.ros import (
     scene_to_msg,
     seconds,
 )
-from plate_core.status import Finding, Input, Level, used, worst
+from plate_core.status import Finding, Input, Level, combined, used
 from plate_interfaces.msg import PartForces, Parts
 
 from .aiming import Situation, Thing
@@ -669,8 +669,8 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         findings.append(tally.overlooked_lately.finding(Expected.of(self._rig)))
         findings.append(self._silence(now))
         if self._input.arrival is None:
-            return worst(findings, f"waiting for images on {self._input.topic}")
-        return worst(findings, "all images used")
+            return combined(findings, f"waiting for images on {self._input.topic}")
+        return combined(findings, "all images used")
 
     def _silence(self, now: float) -> Finding | None:
         """Return a finding if no image has arrived for too long, otherwise None."""

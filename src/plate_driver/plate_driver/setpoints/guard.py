@@ -177,7 +177,7 @@ class Guard:
         CycleError
             If the plate cannot execute the cycle.
         """
-        if self.over(now):  # the last table has ended since the last call of `watched`
+        if self.over(now):  # the last table has ended since the last call of `at_time`
             return self.resting(now).commanded(cycle, stamp_ns, now)
         thermal = self.thermal.at_time(self.rig, now)
         # Upper bound of the time until the plate rests. The current table is played to its end
@@ -249,7 +249,7 @@ class Guard:
         put_back = now > 0 and 1e9 * (self.sent_at - now) > RESTART_NS
         return put_back or now - self.sent_at > times * self.lasts_s
 
-    def watched(self, now: float) -> tuple[Guard, bool]:
+    def at_time(self, now: float) -> tuple[Guard, bool]:
         """Return the guard at `now` [s], and whether the plate now rests because no cycles
         arrive."""
         if not self.over(now):

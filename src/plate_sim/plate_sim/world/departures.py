@@ -39,14 +39,14 @@ class Departures:
     dropped : int
         Number of parts that left the plate but not over the chute. Parts that are still in the
         state are not counted.
-    chuted : Counter of str
+    discharged : Counter of str
         Number of parts that left the plate over the chute, by class. Parts that are still in the
         state are not counted.
     """
 
     def __init__(self, rig: Rig, chute: Side | None) -> None:
         self._rig, self._chute = rig, chute
-        self.dropped, self.chuted = 0, Counter[str]()
+        self.dropped, self.discharged = 0, Counter[str]()
 
     def count(self, state: WorldState, left: np.ndarray) -> tuple[int, Counter[str]]:
         """Count those parts of the state for which the mask `left` (M,) is True. Return the number
@@ -61,5 +61,5 @@ class Departures:
     def forget(self, state: WorldState, left: np.ndarray) -> None:
         """Add those parts of the state for which the mask `left` (M,) is True to the counts. The
         caller then removes these parts from the state."""
-        dropped, chuted = self.count(state, left)
-        self.dropped, self.chuted = self.dropped + dropped, self.chuted + chuted
+        dropped, discharged = self.count(state, left)
+        self.dropped, self.discharged = self.dropped + dropped, self.discharged + discharged

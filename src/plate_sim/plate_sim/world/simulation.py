@@ -72,11 +72,11 @@ class Simulation:
         can show them. In a feed task, the same applies to parts that left the plate.
     plate : PlateState
     disturbances : Disturbances
-    dropped, chuted : int
-        Number of parts that left the plate since the start of the simulation. `chuted` counts the
-        parts that left over the side of the task's chute, and `dropped` counts all other parts.
+    dropped, discharged : int
+        Number of parts that left the plate since the start of the simulation. `discharged` counts
+        the parts that left over the side of the task's chute, and `dropped` counts all other parts.
         Parts that the hand or the robot removed are not counted.
-    chuted_classes : Counter of str
+    discharged_classes : Counter of str
         Number of parts that left over the side of the chute, by class.
     """
 
@@ -293,14 +293,17 @@ class Simulation:
         )
 
     @property
-    def chuted(self) -> int:
+    def discharged(self) -> int:
         """Number of parts that left the plate over the side of the chute."""
-        return self.chuted_classes.total()
+        return self.discharged_classes.total()
 
     @property
-    def chuted_classes(self) -> Counter[str]:
+    def discharged_classes(self) -> Counter[str]:
         """Number of parts that left the plate over the side of the chute, by class."""
-        return self._departures.chuted + self._departures.count(self.state, self._has_left_plate)[1]
+        return (
+            self._departures.discharged
+            + self._departures.count(self.state, self._has_left_plate)[1]
+        )
 
     @property
     def _has_left_plate(self) -> np.ndarray:

@@ -82,7 +82,7 @@ class Header(NamedTuple):
         Size of the picture as stored [px].
     orientation : int
         EXIF orientation, 1 to 8.
-    place : int
+    offset : int
         Position of the orientation in a TIFF file, or of the frame header in a JPEG file [bytes]. 0
         if a TIFF file contains no orientation.
     """
@@ -91,7 +91,7 @@ class Header(NamedTuple):
     width: int
     height: int
     orientation: int = 1
-    place: int = 0
+    offset: int = 0
 
 
 def read_header(content: bytes) -> Header | None:
@@ -133,7 +133,7 @@ def is_whole(content: bytes, header: Header) -> bool:
     if header.kind == "PNG":
         return PNG_END in content
     if header.kind == "JPEG":  # pixels do not contain the mark, but a preview before them does
-        return content.find(JPEG_END, header.place) >= 0
+        return content.find(JPEG_END, header.offset) >= 0
     if header.kind == "WebP":
         return len(content) >= 8 + int.from_bytes(content[4:8], "little")
     return True
@@ -142,10 +142,10 @@ def is_whole(content: bytes, header: Header) -> bool:
 def reset_orientation(content: bytes, header: Header) -> bytes:
     """Return the content of the file with the orientation 1 if it is a TIFF file. OpenCV rotates
     TIFF files even with the flag IMREAD_IGNORE_ORIENTATION. Other files are returned unchanged."""
-    if header.kind != "TIFF" or not header.place:
+    if header.kind != "TIFF" or not header.offset:
         return content
     value = b"\1\0" if content[:2] == b"II" else b"\0\1"
-    return content[: header.place] + value + content[header.place + 2 :]
+    return content[: header.offset] + value + content[header.offset + 2 :]
 
 
 def orientation_warning(header: Header) -> str:
@@ -159,45 +159,45 @@ def orientation_warning(header: Header) -> str:
 
 def _read_png(content: bytes) -> Header:
     width, height = struct.unpack_from(">II", content, 16)
-    orientation, place = 1, 8
+    orientation, offset = 1, 8
     for _ in range(MAX_PIECES):
-        if place + 8 > len(content):
+        if offset + 8 > len(content):
             break
-        size, kind = struct.unpack_from(">I4s", content, place)
+        size, kind = struct.unpack_from(">I4s", content, offset)
         if kind == b"eXIf":
-            orientation = _read_exif_orientation(content[place + 8 : place + 8 + size])
-        place += 12 + size
+            orientation = _read_exif_orientation(content[offset + 8 : offset + 8 + size])
+        offset += 12 + size
     return Header("PNG", width, height, orientation)
 
 
 def _read_jpeg(content: bytes) -> Header | None:
-    orientation, place = 1, 2
+    orientation, offset = 1, 2
     for _ in range(MAX_PIECES):
-        if content[place] != 0xFF:
+        if content[offset] != 0xFF:
             break
-        mark = content[place + 1]
+        mark = content[offset + 1]
         if mark == 0xFF:  # skip a padding byte
-            place += 1
+            offset += 1
             continue
         # This segment of the JPEG file is the frame header, which contains the image size.
         if 0xC0 <= mark <= 0xCF and mark not in (0xC4, 0xC8, 0xCC):
-            height, width = struct.unpack_from(">HH", content, place + 5)
-            return Header("JPEG", width, height, orientation, place)
-        (size,) = struct.unpack_from(">H", content, place + 2)
-        if mark == 0xE1 and content[place + 4 : place + 10] == b"Exif\0\0":
-            orientation = _read_exif_orientation(content[place + 10 : place + 2 + size])
-        place += 2 + size
+            height, width = struct.unpack_from(">HH", content, offset + 5)
+            return Header("JPEG", width, height, orientation, offset)
+        (size,) = struct.unpack_from(">H", content, offset + 2)
+        if mark == 0xE1 and content[offset + 4 : offset + 10] == b"Exif\0\0":
+            orientation = _read_exif_orientation(content[offset + 10 : offset + 2 + size])
+        offset += 2 + size
     return None
 
 
 def _read_webp(content: bytes) -> Header | None:
     size: tuple[int, int] | None = None
-    orientation, place = 1, 12
+    orientation, offset = 1, 12
     for _ in range(MAX_PIECES):
-        if place + 8 > len(content):
+        if offset + 8 > len(content):
             break
-        kind, length = struct.unpack_from("<4sI", content, place)
-        body = place + 8
+        kind, length = struct.unpack_from("<4sI", content, offset)
+        body = offset + 8
         if kind == b"VP8X":
             sides = content[body + 4 : body + 7], content[body + 7 : body + 10]
             wide, high = (int.from_bytes(side, "little") for side in sides)
@@ -211,7 +211,7 @@ def _read_webp(content: bytes) -> Header | None:
         elif kind == b"EXIF":
             data = content[body : body + length]
             orientation = _read_exif_orientation(data.removeprefix(b"Exif\0\0"))
-        place = body + length + length % 2
+        offset = body + length + length % 2
     return None if size is None else Header("WebP", *size, orientation)
 
 
@@ -222,12 +222,12 @@ def _read_bmp(content: bytes) -> Header:
 
 
 def _read_tiff(content: bytes) -> Header | None:
-    tags = {tag: (value, place) for tag, value, place in _read_tags(content)}
+    tags = {tag: (value, offset) for tag, value, offset in _read_tags(content)}
     if WIDTH not in tags or HEIGHT not in tags:
         return None
-    orientation, place = tags.get(ORIENTATION, (1, 0))
+    orientation, offset = tags.get(ORIENTATION, (1, 0))
     width, height = tags[WIDTH][0], tags[HEIGHT][0]
-    return Header("TIFF", width, height, _valid_orientation(orientation), place)
+    return Header("TIFF", width, height, _valid_orientation(orientation), offset)
 
 
 def _read_exif_orientation(data: bytes) -> int:
@@ -258,13 +258,13 @@ def _read_tags(data: bytes) -> Iterator[tuple[int, int, int]]:
         return
     (version,) = struct.unpack_from(order + "H", data, 2)
     big = version == 43
-    (place,) = struct.unpack_from(order + ("Q" if big else "I"), data, 8 if big else 4)
-    (count,) = struct.unpack_from(order + ("Q" if big else "H"), data, place)
-    place += 8 if big else 2
+    (offset,) = struct.unpack_from(order + ("Q" if big else "I"), data, 8 if big else 4)
+    (count,) = struct.unpack_from(order + ("Q" if big else "H"), data, offset)
+    offset += 8 if big else 2
     for _ in range(min(count, MAX_ENTRIES)):
-        tag, kind = struct.unpack_from(order + "HH", data, place)
-        value = place + (12 if big else 8)
+        tag, kind = struct.unpack_from(order + "HH", data, offset)
+        value = offset + (12 if big else 8)
         form = {3: "H", 4: "I", 16: "Q"}.get(kind)
         if form is not None:
             yield tag, struct.unpack_from(order + form, data, value)[0], value
-        place += 20 if big else 12
+        offset += 20 if big else 12

@@ -24,7 +24,7 @@ from plate_core.ros import (
     run_node,
     to_time,
 )
-from plate_core.status import Finding, Level, used, worst
+from plate_core.status import Finding, Level, combined, used
 
 from ..camera import load_lens
 from ..errors import ImageError
@@ -354,12 +354,12 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
                     )
                 )
             if self._waits_for_subscriber:
-                return worst(findings, "waiting for a subscriber of image_raw")
+                return combined(findings, "waiting for a subscriber of image_raw")
             if self._ended:
-                return worst(findings, f"the last of {self._watch.total} images was played")
+                return combined(findings, f"the last of {self._watch.total} images was played")
         if second_publisher := self.second_publisher("image_raw"):
             findings.append(Finding(Level.WARN, second_publisher))
-        return worst(findings, f"images from {self.options.device}")
+        return combined(findings, f"images from {self.options.device}")
 
     def _is_timed_out(self, now: float) -> bool:
         allowed = TIMEOUT_IMAGES / self.options.rate if self.options.rate else 0.0
