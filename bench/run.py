@@ -60,11 +60,7 @@ def arguments() -> argparse.Namespace:
     """Parse the command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(MEASUREMENTS))
-    parser.add_argument(
-        "--quick",
-        action="store_true",
-        help="measure fewer cases; all measurements then take half a minute",
-    )
+    parser.add_argument("--quick", action="store_true", help="measure fewer cases")
     parser.add_argument(
         "--out",
         type=Path,

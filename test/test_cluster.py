@@ -270,8 +270,9 @@ def test_workers_without_a_module_are_refused(shared, messages, tmp_path, monkey
         (tmp_path / str(k)).touch()
     with pytest.raises(PlateError, match="all workers are refused"):
         Cluster(shared.address, agent="only_here", report=messages.append)
-    found = [line for line in messages if "is refused: file 0 is missing (put its folder " in line]
+    found = [line for line in messages if "is refused: file 0 is missing, allowed: " in line]
     assert len(found) == 2  # the third worker also has other variables
+    assert all("(put its folder into PYTHONPATH); " in line for line in found)
     assert all(line.endswith("; 6 more differences") for line in found)
 
 
@@ -600,6 +601,7 @@ def test_facts_differ_by_name():
     assert differences(here, here | {"numpy": "1.0"}) == [
         f"numpy is '1.0', allowed: {here['numpy']!r}"
     ]
+    assert differences({"gymnasium": "1.4"}, {}) == ["gymnasium is missing, allowed: '1.4'"]
 
 
 def test_two_clusters_check_a_worker_one_after_the_other(monkeypatch):

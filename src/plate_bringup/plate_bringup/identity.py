@@ -62,9 +62,10 @@ def differences(expected: dict[str, str], found: dict[str, str]) -> list[str]:
     `facts`."""
     texts = []
     for name in expected | found:
-        if name.startswith("file ") and name not in found:
-            texts.append(f"{name} is missing (put its folder into PYTHONPATH)")
-        elif expected.get(name) != found.get(name):
+        if name not in found:
+            advice = " (put its folder into PYTHONPATH)" if name.startswith("file ") else ""
+            texts.append(f"{name} is missing, allowed: {expected[name]!r}{advice}")
+        elif expected.get(name) != found[name]:
             texts.append(f"{name} is {found.get(name)!r}, allowed: {expected.get(name)!r}")
     return texts
 
