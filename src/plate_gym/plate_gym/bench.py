@@ -300,17 +300,21 @@ def check(
         report(text)
     if len(differences) > MAX_OTHER:
         report(f"{len(differences) - MAX_OTHER} more differences of versions and files")
+
+    def run(task: str, world: str, seeds: list[int]) -> list[dict[str, Any]]:
+        rows = episodes(agent, world, task, seeds, workers, report, limits)
+        return sorted(rows, key=operator.itemgetter("seed"))
+
     # The seeds that are repeated must be unpredictable, so the generator has no fixed seed.
-    wrong, rng, by_seed = [], np.random.default_rng(), operator.itemgetter("seed")
+    wrong, rng = [], np.random.default_rng()
     for task, claimed in result["tasks"].items():
         rows = {row["seed"]: row for row in claimed["rows"]}
         report(f"{task}: the result has seeds {shortened(ranges(sorted(rows)))}")
         recomputed = summary(claimed["rows"])
         if {k: list(v) if isinstance(v, tuple) else v for k, v in recomputed.items()} != claimed:
             wrong.append(f"{task}: the summary does not match its rows")
-        run = partial(episodes, agent, task=task, workers=workers, report=report, limits=limits)
         picks = sorted(rng.permutation(np.array(list(rows), object))[:CHECKED].tolist())
-        played = sorted(run(world=result["world"], seeds=picks), key=by_seed)
+        played = run(task, result["world"], picks)
         for seed, true in zip(picks, played, strict=True):
             wrong += [
                 f"{task}, seed {seed}: {key} is {rows[seed].get(key)!r} in the result, {value!r} "
@@ -324,7 +328,7 @@ def check(
         )
         if fresh:
             seeds = [drawn(rng) for _ in range(fresh)]
-            found = summary(sorted(run(world=world, seeds=seeds), key=by_seed))
+            found = summary(run(task, world, seeds))
             report(f"{line(task, found)}, {world}, fresh seeds {ranges(sorted(seeds))}")
             low, high = found["success_interval"]
             low_again, high_again = recomputed["success_interval"]
