@@ -14,6 +14,7 @@ from record.pictures import (
     STRIP,
     Arrows,
     Scene,
+    class_sample,
     draw_film,
     draw_parts,
     draw_strip,
@@ -25,6 +26,7 @@ from record.pictures import (
 
 from plate_core import PlateCycle, load_rig
 from plate_core.colours import class_colour, part_colour
+from plate_core.rig import PartType
 from plate_core.tasks import Bin, load_scenario
 
 TIME, ARROWS = np.arange(4) * 0.1, Arrows(0.1, 0.03)
@@ -90,6 +92,20 @@ def test_a_part_that_a_real_camera_lost_and_found_again_did_not_fall_off(dropped
     reported = [one.text for one in samples(run, ARROWS, STRIP.canvas(run))]
     assert "last detected here" in reported
     assert "fell off here" not in reported
+
+
+def test_a_long_part_stays_in_its_line_of_the_legend(dropped):
+    outline = ((-0.06, -0.004), (0.06, -0.004), (0.06, 0.004), (-0.06, 0.004))
+    part = PartType("rod", outline, mass_kg=0.01)
+    rig = replace(dropped.rig, types={"rod": part})
+    film = replace(dropped.film, ids=("rod_1", "rod_2"))
+    run = replace(dropped, rig=rig, film=film, scenario=load_scenario("play"))
+    canvas = STRIP.canvas(run)
+    class_sample(run, "rod", 0.008).draw(canvas)
+    x = canvas.origin[0]
+    drawn = np.flatnonzero(np.any(canvas.pixels < 200, axis=(0, 2))) - x
+    assert 4.0 * 0.008 * canvas.scale < drawn.max() < 8.0 * 0.008 * canvas.scale
+    assert drawn.min() >= -2
 
 
 def test_targets_have_the_colour_of_their_class_and_the_plate_has_none(dropped):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -71,6 +71,9 @@ long time."""
 TRAIL_S = 2.0
 """Duration of the motion that the trails of parts show, in tasks in which parts are added and
 removed [s]. In other tasks, trails begin at the start of the task."""
+
+SAMPLE_REACH = 2.5
+"""Maximum reach of a part in the legend [part radii]."""
 
 NOW = 1e-6
 """Tolerance for rounding of times [s]."""
@@ -455,7 +458,10 @@ def class_sample(scene: Scene, label: str, radius: float) -> Sample:
         if path:
             canvas.line([(0, -high / 2), (wide, -high / 2)], colour, 1.2, dashed=True)
         canvas.line([(0.5 * radius, 0), (4.5 * radius, 0)], colour, 2)
-        draw_part(scene, canvas, label, np.array([4.5 * radius, 0, 0]), face=True)
+        # a long part is drawn smaller, so that it stays in its line
+        shrink = min(1.0, SAMPLE_REACH * radius / scene.rig.part_type(label).reach_m)
+        small = replace(canvas, scale=shrink * canvas.scale)
+        draw_part(scene, small, label, np.array([4.5 * radius / shrink, 0, 0]), face=True)
 
     return Sample(wide, draw, ", ".join(labels))
 
