@@ -47,6 +47,8 @@ def test_a_part_turns_to_the_nearest_angle_at_which_it_looks_the_same():
     assert np.degrees((targets.angles.low + targets.angles.high) / 2) == pytest.approx([180])
     assert np.all(targets.weight == 0)  # it may be anywhere
     assert np.isnan(poser.begin(bar).position).all()
+    assert not poser.precise
+    assert replace(poser, task=replace(poser.task, anywhere=False)).precise  # it stays in place
 
 
 @pytest.mark.parametrize("gain", [0.6, 1.0, 1.3])

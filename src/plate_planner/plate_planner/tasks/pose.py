@@ -52,8 +52,8 @@ class Poser(TaskRules):
 
     @property
     def precise(self) -> bool:
-        """True."""
-        return True
+        """Whether at least one part must be at a certain position."""
+        return not self.task.anywhere or any(pose.place is not None for pose in self.task.poses)
 
     def assess(
         self, memory: PoseMemory | None, now: Situation
