@@ -18,6 +18,7 @@ for_all_clones="${XDG_CACHE_HOME:-${HOME:-/dev/null}/.cache}/vibrating-plate" # 
 
 say() { echo "set-up: $*"; }
 step() { # names the step, and its progress every 15 s, which is read from ninja's log `counted`
+    need_writable
     say "[$SECONDS s] $*"; busy=yes
     end_group "$telling"
     set -m
@@ -30,6 +31,7 @@ step() { # names the step, and its progress every 15 s, which is read from ninja
 }
 end_group() { [ -z "$1" ] || kill -- "-$1" 2> /dev/null || true; }
 fail() { printf 'set-up: %s\n' "$@" >&2; exit 1; }
+need_writable() { [ -w "$root" ] || fail "You cannot write into $root. Clone the project into a folder of your own."; }
 trap 'echo "set-up: interrupted; the same command again goes on from here" >&2; exit 130' INT
 quiet="" checks=""
 for option in "$@"; do
@@ -320,8 +322,7 @@ put_back() {
 
 exec 9< tools/setup.sh
 flock -n 9 || { say "waiting for another set-up of this folder to end"; flock 9; }
-mkdir -p log
-touch log/COLCON_IGNORE
+[ -f log/COLCON_IGNORE ] || { need_writable && mkdir -p log && touch log/COLCON_IGNORE; }
 # The generators of messages read no path with spaces or other letters than ASCII.
 case "${TMPDIR:-}" in *[!A-Za-z0-9/._-]*) scratch=$(mktemp -d -p /tmp) ;; *) scratch=$(mktemp -d 2> /dev/null || mktemp -d -p /tmp) ;; esac
 trap 'end_group "$compiling"; end_group "$telling"; rm -rf "$scratch"; put_back' EXIT

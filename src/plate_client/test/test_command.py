@@ -335,6 +335,14 @@ finally:
     assert output.splitlines()[-1] == "set()"
 
 
+def test_a_stop_needs_no_log_file(program, monkeypatch):
+    """As on a full disk."""
+    monkeypatch.setenv("ROS_LOG_DIR", "/proc/none")
+    text = "from plate_client.command import main; main()"
+    returned, output, errors = program(text, "emergency_stop", stdout=subprocess.PIPE)
+    assert (returned, output, errors) == (0, "so it is\n", "")
+
+
 def test_a_closed_output_pipe_is_no_error(program):
     reader, writer = os.pipe()
     os.close(reader)

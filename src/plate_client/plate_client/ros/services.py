@@ -72,7 +72,9 @@ def start_ros(namespace: str) -> None:
     choose_network(os.environ)
     ros_domain(os.environ)
     node_namespace(namespace)
-    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    # A stop must also be sent if no log file can be written, for example on a full disk.
+    args = ["--ros-args", "--disable-external-lib-logs"]
+    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
 
 
 def end_ros(services: Services | None) -> None:
