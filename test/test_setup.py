@@ -37,9 +37,10 @@ def test_a_set_up_reports_that_it_waits_for_another_one(tmp_path):
 
 def test_set_up_reports_the_progress_of_a_step(tmp_path):
     script = (ROOT / "tools" / "setup.sh").read_text()
-    functions = script[script.index("say() {") : script.index("fail() {")]
+    functions = script[script.index("say() {") : script.index("trap ")]
     (tmp_path / "log").write_text("[1/3] one\n[2/3] two\n-- no count\n")
-    words = "set -euo pipefail; busy= telling= counted= log=log; sleep() { command sleep 0.1; }; "
+    words = "set -euo pipefail; root=. busy= telling= counted= log=log\n"
+    words += "sleep() { command sleep 0.1; }\n"
     words += functions + 'step "compiling all"; read -r; end_group "$telling"'
     process = subprocess.Popen(
         ["bash", "-c", words], cwd=tmp_path, text=True,
