@@ -32,7 +32,7 @@ def test_without_lockstep_each_image_is_planned_at_once():
     assert lockstep.next_image() is None
 
 
-@pytest.mark.parametrize("order", itertools.permutations(("image", "start", "cycle")))
+@pytest.mark.parametrize("order", list(itertools.permutations(("image", "start", "cycle"))))
 def test_an_image_is_planned_when_start_and_cycle_have_arrived_in_any_order(order):
     lockstep = running()
     planned = []
