@@ -3,6 +3,7 @@
 import json
 import os
 import select
+import signal
 import subprocess
 import sys
 import time
@@ -117,6 +118,29 @@ def test_processes_end_with_a_killed_parent(tmp_path):
         assert int(program.stdout.readline()) != program.pid
         # the pipe closes when the process of the executor has also ended
         assert select.select([program.stdout], [], [], 60)[0]
+        assert program.stdout.read() == b""
+
+
+def test_processes_end_whose_parent_is_killed_while_they_start(tmp_path):
+    """They load the program, wait for the end of the parent, and then call their initial
+    function."""
+    code = (
+        "import os, time\nfrom pathlib import Path\nfrom harness import executor\n"
+        "if __name__ == '__main__':\n"
+        "    executor(1).submit(os.getpid)\n"
+        "    while not Path('parent').exists(): time.sleep(0.01)\n"
+        "    os.kill(os.getpid(), 9)\n"
+        "parent = os.getppid()\n"
+        "Path('parent').touch()\n"
+        "while os.getppid() == parent: time.sleep(0.01)\n"
+    )
+    (tmp_path / "program.py").write_text(code)
+    env = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    words = [sys.executable, "program.py"]
+    with subprocess.Popen(words, cwd=tmp_path, env=env, stdout=subprocess.PIPE) as program:
+        assert program.wait(60) == -signal.SIGKILL
+        # the pipe closes when the process of the executor has also ended
+        assert select.select([program.stdout], [], [], 30)[0]
         assert program.stdout.read() == b""
 
 

@@ -31,7 +31,7 @@ def executor(workers: int | None = None) -> Executor:
     """Return an executor of new processes on this computer. Default: one process for each core. The
     processes also end if this process is killed."""
     count, context = workers or os.cpu_count(), get_context("spawn")
-    return ProcessPoolExecutor(count, context, initializer=end_with_parent)
+    return ProcessPoolExecutor(count, context, end_with_parent, (os.getpid(),))
 
 
 @contextmanager

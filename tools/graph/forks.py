@@ -63,9 +63,12 @@ def show_command(words: Iterable[str]) -> None:
     ctypes.memmove(begin, text.ljust(end - begin, b"\0"), end - begin)
 
 
-def end_with_parent() -> None:
-    """Make the kernel send SIGTERM to this process when its parent ends for any reason."""
+def end_with_parent(parent: int | None = None) -> None:
+    """Make the kernel send SIGTERM to this process when its parent ends for any reason. If the
+    process `parent` has already ended, send SIGTERM now."""
     _libc.prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
+    if parent is not None and os.getppid() != parent:
+        os.kill(os.getpid(), signal.SIGTERM)
 
 
 class Server:
