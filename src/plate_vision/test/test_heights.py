@@ -98,7 +98,7 @@ def sightings(drawn, known, place=PLACE, poses=POSES, colours=(TOP, SIDE)):
     scale = FOCAL_PX / PLACE[2]
     middle = (np.array(SIZE) - 1) / 2
     view = np.array([[scale, 0, middle[0]], [0, -scale, middle[1]], [0, 0, 1]])
-    calibration = replace(calibrate_by_matrix(view), place=place)
+    calibration = replace(calibrate_by_matrix(view), camera_position=place)
     types = {name: replace(one, height_m=known) for name, one in TYPES.items()}
     bare = learn_plate(np.stack([picture(0, seed, []) for seed in (1, 2, 3)]))
     return find_types(picture(drawn, 7, poses, colours), make_catalogue(types), bare, calibration)
