@@ -154,5 +154,5 @@ def test_a_full_line_loses_bytes_and_does_not_block(terminal):
     chunk = bytes(1000)
     written = [port.write(chunk) for _ in range(200)]
     assert written[0] == len(chunk)
-    assert written[-1] == 0
+    assert 0 in written  # the kernel can make some room later
     port.close()
